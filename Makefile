@@ -1,0 +1,34 @@
+# Everything a user or a developer runs; each target sets up .venv by itself when it is missing or stale.
+PYTHON ?= python3
+BIN := .venv/bin
+OUT ?= runs/pendulum
+
+.PHONY: help setup train test slow lint figures study wheel clean
+
+help:  ## list the targets
+	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
+
+setup: .venv/.ready  ## create .venv with the CPU build of torch and this package, editable
+
+.venv/.ready: pyproject.toml
+	$(PYTHON) -m venv --clear .venv
+	$(BIN)/python -m pip install --quiet torch==2.13.0
+	$(BIN)/python -m pip install --quiet --editable ".[dev]"
+	@touch $@
+
+train: setup  ## train the curious agent on PendulumSwingup with action cost, under 4 minutes
+	$(BIN)/python scripts/train.py --out $(OUT)
+
+test: setup  ## the default tests, under 5 minutes
+	$(BIN)/python -m pytest
+
+slow: setup  ## the learning tests, tens of minutes
+	$(BIN)/python -m pytest -m slow
+
+lint: setup  ## ruff and mypy
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+wheel: setup  ## build the wheel into dist/
+	$(BIN)/python -m build --wheel --outdir dist
