@@ -1,0 +1,309 @@
+"""The curious agent: soft actor-critic with an action prior and a second, curious value."""
+
+import math
+from collections.abc import Sequence
+from copy import deepcopy
+from typing import Any, Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from deep_curiosity.action_prior import ActionMarginal, FlatPrior
+from deep_curiosity.actor_critic import Critics, GaussianPolicy
+from deep_curiosity.bonus import Bonus
+from deep_curiosity.losses import (
+    actor_loss,
+    critic_loss,
+    critic_target,
+    prior_loss,
+    temperature_loss,
+)
+from deep_curiosity.networks import frozen
+from deep_curiosity.transitions import Transition, check_batch
+
+NUM_PRIOR_DRAWS = 64  # for the reported divergence of the prior from uniform
+RATE_PER_ACTION_DIM = {
+    "uniform": 1 + math.log(2),  # nats from uniform: soft actor-critic's target entropy of -1
+    "learned": 1.0,
+}
+
+
+class CuriousActorCritic(nn.Module):
+    r"""Actor-critic whose policy follows equation (21).
+
+    .. math:: \pi(a|x) \propto p(a) \exp((Q_D(x, a) + \alpha Q(x, a)) / \lambda)
+
+    `Q` is the extrinsic value, `Q_D` the discounted sum of the bonus under its own discount. The
+    two are learned apart, so `hunger` (alpha) and `temperature` (lambda) may be set at any step.
+    Without a bonus and with the uniform prior this is soft actor-critic.
+
+    Args:
+        observation_dim: Length of an observation.
+        action_dim: Length of an action; actions lie in [-1, 1].
+        hidden_dims: Width of every hidden layer of policy and critics.
+        discount: Of the extrinsic reward, per step.
+        curiosity: Whether `update` is given a bonus.
+        curiosity_discount: Of the bonus, per step. 0 is the paper's equation as written: the actor
+            climbs the bonus itself, differentiated through the model, and no critic learns it.
+        hunger: Weight of the extrinsic value, alpha.
+        prior: `"uniform"` for soft actor-critic's flat prior, `"learned"` for the action marginal.
+        temperature: Price of a nat, lambda; the initial one where it is tuned.
+        tune_temperature: Adjust the temperature to hold `target_information_rate`, the dual (10).
+        target_information_rate: Nats per action by which the policy may differ from the prior. By
+            default `1 + log 2` per action dimension from the uniform prior, which is the usual
+            target entropy of `-action_dim`, and 1 per action dimension from the learned one.
+        soft_backup: Charge the extrinsic value with the information cost of later actions, as soft
+            actor-critic does. By default only with the uniform prior: the paper keeps the value
+            purely about reward.
+        learning_rate: Of Adam, for every part.
+        polyak: Share of the critics that moves into the target critics at each update.
+
+    Raises:
+        ValueError: If a number is out of range.
+
+    Reference: Still & Precup (2012), equations (10), (14), (21); Haarnoja et al., "Soft
+    Actor-Critic Algorithms and Applications" (2018), https://arxiv.org/abs/1812.05905.
+    """
+
+    def __init__(
+        self,
+        observation_dim: int,
+        action_dim: int,
+        *,
+        hidden_dims: Sequence[int] = (256, 256),
+        discount: float = 0.99,
+        curiosity: bool = True,
+        curiosity_discount: float = 0.99,
+        hunger: float = 1.0,
+        prior: Literal["uniform", "learned"] = "uniform",
+        temperature: float = 1.0,
+        tune_temperature: bool = True,
+        target_information_rate: float | None = None,
+        soft_backup: bool | None = None,
+        learning_rate: float = 3e-4,
+        polyak: float = 0.005,
+    ) -> None:
+        super().__init__()
+        _check_discount("discount", discount)
+        _check_discount("curiosity_discount", curiosity_discount)
+        _check_positive("learning_rate", learning_rate)
+        if not 0 < polyak <= 1:
+            raise ValueError(f"`polyak` must lie in (0, 1], got {polyak}.")
+        if prior not in RATE_PER_ACTION_DIM:
+            raise ValueError(f"`prior` must be 'uniform' or 'learned', got {prior!r}.")
+        self.observation_dim = observation_dim
+        self.action_dim = action_dim
+        self.curiosity = curiosity
+        self.tune_temperature = tune_temperature
+        self.soft_backup = prior == "uniform" if soft_backup is None else soft_backup
+        if target_information_rate is None:
+            target_information_rate = RATE_PER_ACTION_DIM[prior] * action_dim
+        self.target_information_rate = target_information_rate
+        self.polyak = polyak
+
+        has_curiosity_critic = curiosity and curiosity_discount > 0
+        discounts = [discount, curiosity_discount] if has_curiosity_critic else [discount]
+        self.policy = GaussianPolicy(observation_dim, action_dim, hidden_dims=hidden_dims)
+        self.critics = Critics(
+            observation_dim, action_dim, pairs=len(discounts), hidden_dims=hidden_dims
+        )
+        self.target_critics = deepcopy(self.critics).requires_grad_(False)
+        self.prior = FlatPrior(action_dim) if prior == "uniform" else ActionMarginal(action_dim)
+        self.log_temperature = nn.Parameter(torch.zeros(()), requires_grad=tune_temperature)
+        self.register_buffer("_hunger", torch.zeros(()))
+        self.register_buffer("discounts", torch.tensor(discounts).unsqueeze(-1))  # pairs 1
+        self.temperature = temperature
+        self.hunger = hunger
+        self.optimizers = {
+            name: torch.optim.Adam(parameters, lr=learning_rate, fused=True)
+            for name, parameters in self._trained_parameters().items()
+        }
+
+    @property
+    def hunger(self) -> float:
+        """Weight of the extrinsic value, alpha; may be set at any step."""
+        return self._hunger.item()
+
+    @hunger.setter
+    def hunger(self, value: float) -> None:
+        if not (math.isfinite(value) and value >= 0):
+            raise ValueError(f"`hunger` must be finite and not negative, got {value}.")
+        self._hunger.fill_(value)
+
+    @property
+    def temperature(self) -> float:
+        """Price of a nat, lambda; may be set at any step, and is tuned on from there."""
+        return self.log_temperature.exp().item()
+
+    @temperature.setter
+    def temperature(self, value: float) -> None:
+        _check_positive("temperature", value)
+        with torch.no_grad():
+            self.log_temperature.fill_(math.log(value))
+
+    @torch.no_grad()
+    def act(
+        self, observation: Float[Tensor, "batch observation_dim"], *, deterministic: bool = False
+    ) -> Float[Tensor, "batch action_dim"]:
+        """Draw actions in [-1, 1], or take the centre of the policy."""
+        check_batch("observation", observation, self.observation_dim)
+        policy = self.policy(observation)
+        if deterministic:
+            return policy.mode
+        return torch.tanh(policy.pre_action(torch.randn_like(policy.loc)))
+
+    def update(self, transition: Transition, bonus: Bonus | None = None) -> dict[str, Tensor]:
+        """Take one gradient step on every part.
+
+        Args:
+            transition: A batch from replay, its reward as the environment gave it.
+            bonus: Asked afresh for the batch, so that nothing in replay is ever stale.
+
+        Returns:
+            What to log: detached 0-d tensors, information in nats.
+
+        Raises:
+            ValueError: If a bonus is given to an agent without curiosity, or none to a curious one.
+        """
+        if self.curiosity != (bonus is not None):
+            raise ValueError(
+                "`bonus` must be given if and only if the agent has `curiosity`, "
+                f"got {bonus!r} with curiosity={self.curiosity}."
+            )
+        metrics = self._update_critics(transition, bonus)
+        pre_action, information_cost, actor_metrics = self._update_actor(transition, bonus)
+        metrics |= actor_metrics | self._update_prior(pre_action)
+        metrics |= self._update_temperature(information_cost)
+        self._move_targets()
+        return metrics
+
+    def _update_critics(self, transition: Transition, bonus: Bonus | None) -> dict[str, Tensor]:
+        value = self.critics(transition.observation, transition.action)  # pairs 2 batch
+        target = self._targets(transition, bonus)  # pairs batch
+        loss = critic_loss(value, target.unsqueeze(1))
+        self._step("critics", loss)
+        return {
+            "critic_loss": loss.detach(),
+            "value": value.detach()[0].mean(),
+            "curiosity_value": value.detach()[1:].sum(0).mean(),
+        }
+
+    @torch.no_grad()
+    def _targets(
+        self, transition: Transition, bonus: Bonus | None
+    ) -> Float[Tensor, "pairs batch"]:
+        """Targets of the extrinsic value and, where it is learned, of the curiosity value."""
+        next_policy = self.policy(transition.next_observation)
+        pre_action = next_policy.pre_action(torch.randn_like(next_policy.loc))
+        next_value = self.target_critics.lower(transition.next_observation, torch.tanh(pre_action))
+        if self.soft_backup:
+            information_cost = next_policy.log_prob(pre_action) - self.prior.log_prob(pre_action)
+            next_value[0] -= self.log_temperature.exp() * information_cost
+        rewards = [transition.reward]
+        if bonus is not None and self._has_curiosity_critic:
+            rewards.append(bonus(transition.observation, transition.action))
+        return critic_target(
+            torch.stack(rewards), transition.terminated, next_value, self.discounts
+        )
+
+    def _update_actor(
+        self, transition: Transition, bonus: Bonus | None
+    ) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
+        """Step the policy; return its pre-actions and their information cost for prior and price."""
+        policy = self.policy(transition.observation)
+        pre_action = policy.pre_action(torch.randn_like(policy.loc))
+        with frozen(self.prior):
+            information_cost = policy.log_prob(pre_action) - self.prior.log_prob(pre_action)
+        value, curiosity_value = self._values(
+            transition.observation, torch.tanh(pre_action), bonus
+        )
+        loss = actor_loss(
+            information_cost,
+            value,
+            curiosity_value,
+            temperature=self.log_temperature.detach().exp(),
+            hunger=self._hunger,
+        )
+        self._step("policy", loss)
+        metrics = {
+            "policy_loss": loss.detach(),
+            "policy_std": policy.log_std.detach().exp().mean(),
+        }
+        return pre_action.detach(), information_cost.detach(), metrics
+
+    def _values(
+        self, observation: Tensor, action: Tensor, bonus: Bonus | None
+    ) -> tuple[Tensor, Tensor | float]:
+        """Extrinsic and curiosity value of the policy's actions, for the actor to climb."""
+        with frozen(self.critics):
+            value = self.critics.lower(observation, action)
+        if self._has_curiosity_critic:
+            return value[0], value[1]
+        return value[0], 0.0 if bonus is None else bonus(observation, action)
+
+    def _update_prior(self, pre_action: Tensor) -> dict[str, Tensor]:
+        if isinstance(self.prior, FlatPrior):
+            return {}
+        loss = prior_loss(self.prior.log_prob(pre_action))
+        self._step("prior", loss)
+        return {"prior_log_prob": -loss.detach()}
+
+    def _update_temperature(self, information_cost: Tensor) -> dict[str, Tensor]:
+        rate = information_cost + self._log_volume  # nats from a normalised prior
+        metrics = {
+            "information_rate": rate.mean(),
+            "temperature": self.log_temperature.detach().exp(),
+        }
+        if self.tune_temperature:
+            loss = temperature_loss(self.log_temperature, rate, self.target_information_rate)
+            self._step("temperature", loss)
+        return metrics
+
+    def _move_targets(self) -> None:
+        """Polyak averaging, all parameters in one call."""
+        targets = list(self.target_critics.parameters())
+        with torch.no_grad():
+            torch._foreach_lerp_(targets, list(self.critics.parameters()), self.polyak)
+
+    def _step(self, name: str, loss: Tensor) -> None:
+        self.optimizers[name].zero_grad()
+        loss.backward()
+        self.optimizers[name].step()
+
+    def _trained_parameters(self) -> dict[str, list[nn.Parameter]]:
+        parts: dict[str, list[nn.Parameter]] = {
+            "policy": list(self.policy.parameters()),
+            "critics": list(self.critics.parameters()),
+            "prior": list(self.prior.parameters()),
+            "temperature": [self.log_temperature] if self.tune_temperature else [],
+        }
+        return {name: parameters for name, parameters in parts.items() if parameters}
+
+    @property
+    def _has_curiosity_critic(self) -> bool:
+        return self.critics.pairs == 2
+
+    @property
+    def _log_volume(self) -> float:
+        """What turns a cost relative to the prior in use into nats from a normalised prior."""
+        return self.prior.log_volume if isinstance(self.prior, FlatPrior) else 0.0
+
+    def get_extra_state(self) -> dict[str, Any]:
+        """State of the optimisers, so that `state_dict` is all there is."""
+        return {name: optimizer.state_dict() for name, optimizer in self.optimizers.items()}
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Restore the optimisers."""
+        for name, optimizer in self.optimizers.items():
+            optimizer.load_state_dict(state[name])
+
+
+def _check_positive(name: str, value: float) -> None:
+    if not (math.isfinite(value) and value > 0):
+        raise ValueError(f"`{name}` must be finite and positive, got {value}.")
+
+
+def _check_discount(name: str, value: float) -> None:
+    if not 0 <= value < 1:
+        raise ValueError(f"`{name}` must lie in [0, 1), got {value}.")

@@ -1,0 +1,45 @@
+"""The one extension point: what every bonus is to the agent, the trainer and the adapters."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from deep_curiosity.transitions import Transition
+
+Policy = Callable[[Tensor], Tensor]
+"""Draws fresh actions `(batch, action_dim)` for observations `(batch, observation_dim)`."""
+
+
+class Bonus(nn.Module, ABC):
+    """A reward that an agent gives itself. All state lives in parameters and buffers.
+
+    In any loop, before the agent's own update::
+
+        loss = bonus.loss(transition)                  # 1
+        optimizer.zero_grad(), loss.backward()         # 2
+        optimizer.step()                               # 3
+        bonus.observe(transition, policy)              # 4
+        reward = transition.reward + bonus(transition.observation, transition.action)  # 5
+    """
+
+    @abstractmethod
+    def forward(
+        self,
+        observation: Float[Tensor, "batch observation_dim"],
+        action: Float[Tensor, "batch action_dim"],
+    ) -> Float[Tensor, " batch"]:
+        """Bonus of each pair, differentiable in the action; changes no state."""
+
+    @abstractmethod
+    def loss(self, transition: Transition) -> Float[Tensor, ""]:
+        """Loss of what the bonus learns; the caller owns the optimiser."""
+
+    @abstractmethod
+    def observe(self, transition: Transition, policy: Policy | None = None) -> None:
+        """Update statistics from a batch; `policy` draws what it would do now."""
+
+    @abstractmethod
+    def metrics(self) -> dict[str, Tensor]:
+        """What to log: a flat dictionary of detached 0-d tensors."""

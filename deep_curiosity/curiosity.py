@@ -1,0 +1,250 @@
+"""Curiosity as predictive power: how far an action leads from where one usually ends up."""
+
+import math
+from collections.abc import Sequence
+from typing import Literal, NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from deep_curiosity.bonus import Bonus, Policy
+from deep_curiosity.distributions import gaussian_log_prob
+from deep_curiosity.divergences import gaussian_entropy
+from deep_curiosity.dynamics import DynamicsEnsemble, Prediction
+from deep_curiosity.marginal import NextStateMarginal
+from deep_curiosity.networks import frozen
+from deep_curiosity.normalization import RunningMoments
+from deep_curiosity.transitions import Transition, check_batch, check_transition
+
+STATISTICS_MEMORY = (
+    50_000  # rows over which the bonus is standardised: D drifts as the model learns
+)
+NUM_PROBES = 64  # pairs kept from the last refresh, on which the metrics are computed
+NUM_SAMPLES = 16  # draws from each member's prediction when the bonus is taken apart
+
+
+class Decomposition(NamedTuple):
+    """The raw divergence of each pair and what it is made of, in nats."""
+
+    predictive_power: Float[Tensor, " batch"]
+    information_gain: Float[Tensor, " batch"]
+    total: Float[Tensor, " batch"]
+
+
+class CuriosityBonus(Bonus):
+    r"""Divergence of an action's next state from the usual next state, equation (18).
+
+    .. math:: D(x, a) = \frac{1}{E} \sum_e D_{KL}[p_e(x' | x, a) \,\|\, p_\pi(x')]
+
+    It is returned standardised, `weight * (D - mean) / std`, with running statistics. Pure noise
+    earns nothing once its variance is learned: `D` contains minus the conditional entropy.
+
+    Args:
+        observation_dim: Length of an observation.
+        action_dim: Length of an action; actions lie in [-1, 1].
+        weight: Factor of the standardised bonus. 0.1 suffices where there is no other signal and
+            does no harm where there is one.
+        center: Subtract the running mean. Ending an episode is then worth as much as an average
+            step: neither bait nor threat.
+        scale: Divide by the running standard deviation; without it the bonus is in nats.
+        members: Number of models in the ensemble, at least 2.
+        hidden_dims: Width of every hidden layer of the models.
+        noise_floor: Resolution at which the agent sees, in standard deviations of the observation.
+        components: Number of next states that make up the marginal.
+        bandwidth: Width of the marginal's kernels, see `NextStateMarginal`.
+        target_perplexity: Read only by `bandwidth="perplexity"`.
+        refresh_interval: Calls of `observe` from one refresh of the marginal to the next.
+
+    Raises:
+        ValueError: If a count or a scale is out of range.
+
+    Reference: Still & Precup, "An information-theoretic approach to curiosity-driven reinforcement
+    learning" (2012), equations (18)-(20).
+    """
+
+    probe_observation: Tensor
+    probe_action: Tensor
+    num_observed: Tensor
+
+    def __init__(
+        self,
+        observation_dim: int,
+        action_dim: int,
+        *,
+        weight: float = 0.1,
+        center: bool = True,
+        scale: bool = True,
+        members: int = 5,
+        hidden_dims: Sequence[int] = (256, 256),
+        noise_floor: float = 0.05,
+        components: int = 256,
+        bandwidth: float | Literal["silverman", "perplexity"] = "silverman",
+        target_perplexity: float = 8.0,
+        refresh_interval: int = 10,
+    ) -> None:
+        super().__init__()
+        if not (math.isfinite(weight) and weight >= 0):
+            raise ValueError(f"`weight` must be finite and not negative, got {weight}.")
+        if refresh_interval < 1:
+            raise ValueError(f"`refresh_interval` must be at least 1, got {refresh_interval}.")
+        self.observation_dim = observation_dim
+        self.action_dim = action_dim
+        self.weight = weight
+        self.center = center
+        self.scale = scale
+        self.refresh_interval = refresh_interval
+        self.dynamics = DynamicsEnsemble(
+            observation_dim,
+            action_dim,
+            members=members,
+            hidden_dims=hidden_dims,
+            noise_floor=noise_floor,
+        )
+        self.marginal = NextStateMarginal(
+            observation_dim,
+            components=components,
+            bandwidth=bandwidth,
+            target_perplexity=target_perplexity,
+        )
+        self.moments = RunningMoments(1, memory=STATISTICS_MEMORY)
+        self.register_buffer("probe_observation", torch.zeros(NUM_PROBES, observation_dim))
+        self.register_buffer("probe_action", torch.zeros(NUM_PROBES, action_dim))
+        self.register_buffer("num_observed", torch.zeros((), dtype=torch.long))
+
+    def forward(
+        self,
+        observation: Float[Tensor, "batch observation_dim"],
+        action: Float[Tensor, "batch action_dim"],
+    ) -> Float[Tensor, " batch"]:
+        """Weighted, standardised bonus of each pair, differentiable in both; models stay fixed.
+
+        Raises:
+            RuntimeError: If nothing has been observed yet.
+        """
+        nats = self.nats(observation, action)
+        if self.center:
+            nats = nats - self.moments.mean
+        if self.scale:
+            nats = nats / self.moments.scale
+        return self.weight * nats
+
+    def nats(
+        self,
+        observation: Float[Tensor, "batch observation_dim"],
+        action: Float[Tensor, "batch action_dim"],
+    ) -> Float[Tensor, " batch"]:
+        """Raw divergence of each pair, the upper bound averaged over members, in nats."""
+        prediction = self._predict(observation, action)
+        return self.marginal.kl_upper(*prediction).mean(0)
+
+    def loss(self, transition: Transition) -> Float[Tensor, ""]:
+        """Negative log-likelihood of the ensemble, in nats; see `DynamicsEnsemble.loss`."""
+        check_batch("observation", transition.observation, self.observation_dim)
+        check_batch("action", transition.action, self.action_dim)
+        return self.dynamics.loss(transition)
+
+    @torch.no_grad()
+    def observe(self, transition: Transition, policy: Policy | None = None) -> None:
+        """Update statistics, and at every `refresh_interval`-th call the marginal.
+
+        Args:
+            transition: A batch from replay, or the newest rollout.
+            policy: Draws fresh actions at the batch's observations for the marginal, so that it
+                follows the policy of now; `None` takes the actions that were taken.
+
+        Raises:
+            TypeError: If a field has the wrong kind.
+            ValueError: If a field has the wrong shape or holds NaN or infinity. The statistics
+                are then as before.
+        """
+        check_transition(transition, self.observation_dim, self.action_dim)
+        self.dynamics.observe(transition)
+        if self.num_observed % self.refresh_interval == 0:
+            self._refresh(transition, policy)
+        self.num_observed.add_(1)
+
+    def decompose(
+        self,
+        observation: Float[Tensor, "batch observation_dim"],
+        action: Float[Tensor, "batch action_dim"],
+        noise: Float[Tensor, "samples members batch observation_dim"] | None = None,
+    ) -> Decomposition:
+        r"""Predictive power, information gain about the model, and their sum, in nats.
+
+        .. math:: \frac{1}{E} \sum_e KL(p_e \| m) = KL(\bar p \| m) + JSD(p_1, \dots, p_E)
+
+        All three are Monte Carlo means over the same draws, so the identity is exact.
+
+        Args:
+            observation: Where.
+            action: What is done there.
+            noise: Standard normal draws for each member; drawn afresh when `None`.
+        """
+        loc, log_var = self._predict(observation, action)
+        if noise is None:
+            noise = torch.randn(NUM_SAMPLES, *loc.shape, dtype=loc.dtype, device=loc.device)
+        next_state = loc + torch.exp(0.5 * log_var) * noise  # samples members batch dim
+        log_marginal = self.marginal.log_density(next_state)
+        log_members = gaussian_log_prob(  # samples members members batch
+            next_state.unsqueeze(2), loc, 0.5 * log_var
+        )
+        log_own = gaussian_log_prob(next_state, loc, 0.5 * log_var)
+        log_mean = torch.logsumexp(log_members, dim=2) - math.log(self.dynamics.members)
+        return Decomposition(
+            predictive_power=(log_mean - log_marginal).mean((0, 1)),
+            information_gain=(log_own - log_mean).mean((0, 1)),
+            total=(log_own - log_marginal).mean((0, 1)),
+        )
+
+    @torch.no_grad()
+    def metrics(self) -> dict[str, Tensor]:
+        """Diagnostics on the pairs of the last refresh, in nats where not said otherwise."""
+        metrics = self.dynamics.metrics()
+        if self.marginal.is_empty:
+            return metrics
+        generator = torch.Generator().manual_seed(0)  # leaves the global stream where it is
+        shape = (NUM_SAMPLES, self.dynamics.members, NUM_PROBES, self.observation_dim)
+        noise = torch.randn(shape, generator=generator).to(self.probe_observation)
+        parts = self.decompose(self.probe_observation, self.probe_action, noise)
+        prediction = self._predict(self.probe_observation, self.probe_action)
+        upper, lower = (
+            bound(*prediction) for bound in (self.marginal.kl_upper, self.marginal.kl_lower)
+        )
+        return metrics | {
+            "nats": upper.mean(),
+            "nats_std": self.moments.scale[0],
+            "predictive_power": parts.predictive_power.mean(),
+            "information_gain": parts.information_gain.mean(),
+            "conditional_entropy": gaussian_entropy(prediction.log_var).mean(),
+            "bound_gap": (upper - lower).mean(),
+            "marginal_perplexity": self.marginal.perplexity(),
+            "floor_share": self._floor_share(prediction),
+        }
+
+    def _predict(self, observation: Tensor, action: Tensor) -> Prediction:
+        check_batch("observation", observation, self.observation_dim)
+        check_batch("action", action, self.action_dim)
+        if self.marginal.is_empty:
+            raise RuntimeError("`observe` must see a batch before the bonus can be computed.")
+        with frozen(self.dynamics):
+            return self.dynamics(observation, action)
+
+    def _refresh(self, transition: Transition, policy: Policy | None) -> None:
+        """Renew the marginal's components, the standardisation and the probes."""
+        observation = transition.observation
+        action = transition.action if policy is None else policy(observation)
+        check_batch("action", action, self.action_dim)
+        prediction = self.dynamics(observation, action)
+        rows = torch.arange(observation.shape[0], device=observation.device)
+        member = rows % self.dynamics.members  # each component is some member's, in turn
+        self.marginal.refresh(prediction.loc[member, rows], prediction.log_var[member, rows])
+        nats = self.nats(observation, transition.action)
+        self.moments.update(nats.unsqueeze(-1))
+        probes = torch.arange(NUM_PROBES, device=observation.device) % observation.shape[0]
+        self.probe_observation.copy_(observation[probes])
+        self.probe_action.copy_(transition.action[probes])
+
+    def _floor_share(self, prediction: Prediction) -> Tensor:
+        """Mean share of the predicted variance that is the floor: at 1 the model is sharper."""
+        return torch.exp(2 * math.log(self.dynamics.noise_floor) - prediction.log_var).mean()

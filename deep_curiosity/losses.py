@@ -1,0 +1,61 @@
+"""Losses of the agent, as pure functions whose signatures are the formulas."""
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+
+def critic_target(
+    reward: Float[Tensor, "*#batch"],
+    terminated: Bool[Tensor, "*#batch"],
+    next_value: Float[Tensor, "*batch"],
+    discount: float | Float[Tensor, "*#batch"],
+) -> Float[Tensor, "*batch"]:
+    """One-step target `r + discount * V(x')`, without the value where the world ended.
+
+    A truncated episode goes on: only `terminated` stops the bootstrap.
+    """
+    return torch.where(terminated, reward, reward + discount * next_value)
+
+
+def critic_loss(
+    value: Float[Tensor, "*critics batch"], target: Float[Tensor, "*#critics batch"]
+) -> Float[Tensor, ""]:
+    """Half the squared error, averaged over the batch and summed over critics."""
+    return 0.5 * (value - target).square().mean(-1).sum()
+
+
+def actor_loss(
+    information_cost: Float[Tensor, " batch"],
+    value: Float[Tensor, " batch"],
+    curiosity_value: Float[Tensor, " batch"] | float,
+    *,
+    temperature: float | Float[Tensor, ""],
+    hunger: float | Float[Tensor, ""],
+) -> Float[Tensor, ""]:
+    r"""Loss whose minimiser over policies is equation (21).
+
+    .. math:: E[\lambda (\log \pi(a|x) - \log p(a)) - \alpha Q(x, a) - Q_D(x, a)]
+
+    Args:
+        information_cost: `log pi - log p` of each sampled action, in nats.
+        value: Extrinsic value of each sampled action.
+        curiosity_value: Curiosity value of each sampled action; 0 without curiosity.
+        temperature: Price of a nat, lambda.
+        hunger: Weight of the extrinsic value, alpha.
+    """
+    return (temperature * information_cost - hunger * value - curiosity_value).mean()
+
+
+def prior_loss(log_prob: Float[Tensor, " batch"]) -> Float[Tensor, ""]:
+    """Cross-entropy of the policy's own actions; its minimiser is the marginal (14), (23)."""
+    return -log_prob.mean()
+
+
+def temperature_loss(
+    log_temperature: Float[Tensor, ""],
+    information_cost: Float[Tensor, " batch"],
+    target_rate: float,
+) -> Float[Tensor, ""]:
+    """Dual loss of the constraint (10): the price of a nat rises while the rate is above target."""
+    return -log_temperature * (information_cost.mean() - target_rate).detach()

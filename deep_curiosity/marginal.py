@@ -1,0 +1,154 @@
+"""The usual next state: a mixture density `p_pi(x')` over what the policy leads to."""
+
+import math
+from typing import Literal
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from deep_curiosity.divergences import (
+    expected_log_density,
+    kl_to_mixture_lower,
+    kl_to_mixture_upper,
+    mixture_log_density,
+)
+
+LOG_BANDWIDTH_RANGE = (math.log(1e-3), math.log(10.0))  # searched for a target perplexity
+BISECTIONS = 20  # halvings of that range: to a factor of 1.00001
+
+
+class NextStateMarginal(nn.Module):
+    r"""Mixture of predicted next states with a bandwidth, equations (20) and (24).
+
+    The newest predictions replace the oldest. A nearly deterministic world predicts spikes, and a
+    mixture of spikes has holes: every component is therefore widened by `h^2` times the variance
+    of the component means, which makes the mixture a kernel density estimate.
+
+    Args:
+        dim: Number of whitened features of a state.
+        components: Number of Gaussians, M.
+        bandwidth: `"silverman"` for `h^2 = (4 / (d + 2))^(2 / (d + 4)) M^(-2 / (d + 4))`; a number
+            for `h` itself; `"perplexity"` for the `h` at which a component resembles
+            `target_perplexity` components, itself included.
+        target_perplexity: Read only by `bandwidth="perplexity"`.
+
+    Raises:
+        ValueError: If a count or a scale is out of range.
+
+    Reference: Silverman, "Density Estimation for Statistics and Data Analysis" (1986), (4.14).
+    """
+
+    loc: Tensor
+    log_var: Tensor
+    log_weight: Tensor
+    log_spread: Tensor
+    num_seen: Tensor
+
+    def __init__(
+        self,
+        dim: int,
+        *,
+        components: int = 256,
+        bandwidth: float | Literal["silverman", "perplexity"] = "silverman",
+        target_perplexity: float = 8.0,
+    ) -> None:
+        super().__init__()
+        if components < 2:
+            raise ValueError(f"`components` must be at least 2, got {components}.")
+        named = bandwidth in ("silverman", "perplexity")
+        if not named and not (isinstance(bandwidth, int | float) and bandwidth > 0):
+            raise ValueError(
+                "`bandwidth` must be 'silverman', 'perplexity' or a positive number, "
+                f"got {bandwidth!r}."
+            )
+        if not 1 < target_perplexity < components:
+            raise ValueError(
+                f"`target_perplexity` must lie between 1 and {components}, got {target_perplexity}."
+            )
+        self.bandwidth = bandwidth
+        self.target_perplexity = target_perplexity
+        self.register_buffer("loc", torch.zeros(components, dim))
+        self.register_buffer("log_var", torch.zeros(components, dim))
+        self.register_buffer("log_weight", torch.full((components,), -math.inf))
+        self.register_buffer("log_spread", torch.full((dim,), -math.inf))
+        self.register_buffer("num_seen", torch.zeros((), dtype=torch.long))
+
+    @torch.no_grad()
+    def refresh(
+        self, loc: Float[Tensor, "batch dim"], log_var: Float[Tensor, "batch dim"]
+    ) -> None:
+        """Let predicted next states take the place of the oldest components, and fit `h`."""
+        components = self.loc.shape[0]
+        loc, log_var = loc[-components:], log_var[-components:]
+        slot = (self.num_seen + torch.arange(loc.shape[0], device=loc.device)) % components
+        self.loc[slot], self.log_var[slot] = loc, log_var
+        self.num_seen.add_(loc.shape[0])
+        filled = torch.arange(components, device=loc.device) < self.num_seen
+        log_count = filled.sum().to(loc.dtype).log()
+        self.log_weight.copy_(torch.where(filled, -log_count, -math.inf))
+        self._fit_bandwidth(filled)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no state has been seen yet."""
+        return self.num_seen.item() == 0
+
+    @property
+    def component_log_var(self) -> Float[Tensor, "components dim"]:
+        """Log variance of every component, bandwidth included."""
+        return torch.logaddexp(self.log_var, self.log_spread)
+
+    def kl_upper(
+        self, loc: Float[Tensor, "*batch dim"], log_var: Float[Tensor, "*batch dim"]
+    ) -> Float[Tensor, "*batch"]:
+        """Upper bound of `KL(prediction || marginal)`, equation (18), in nats."""
+        return kl_to_mixture_upper(loc, log_var, self.loc, self.component_log_var, self.log_weight)
+
+    def kl_lower(
+        self, loc: Float[Tensor, "*batch dim"], log_var: Float[Tensor, "*batch dim"]
+    ) -> Float[Tensor, "*batch"]:
+        """Lower bound of `KL(prediction || marginal)`, equation (18), in nats."""
+        return kl_to_mixture_lower(loc, log_var, self.loc, self.component_log_var, self.log_weight)
+
+    def log_density(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch"]:
+        """Log density of next states, in nats."""
+        return mixture_log_density(value, self.loc, self.component_log_var, self.log_weight)
+
+    def perplexity(self) -> Float[Tensor, ""]:
+        """How many components a component resembles, itself included: `exp` of mean entropy."""
+        return self._perplexity(self.component_log_var)
+
+    def _perplexity(self, component_log_var: Tensor) -> Tensor:
+        log_density = expected_log_density(self.loc, self.log_var, self.loc, component_log_var)
+        log_share = torch.log_softmax(log_density + self.log_weight, dim=-1)
+        entropy = torch.special.entr(log_share.exp()).sum(-1)
+        return (self.log_weight.exp() * entropy).sum().exp()
+
+    def _fit_bandwidth(self, filled: Tensor) -> None:
+        """Set the variance that widens every component, `h^2` times the variance of the means."""
+        spread = self.loc[filled].var(0, correction=0).log()
+        if self.bandwidth == "silverman":
+            log_bandwidth = silverman_log_bandwidth(int(filled.sum()), self.loc.shape[1])
+        elif self.bandwidth == "perplexity":
+            log_bandwidth = self._log_bandwidth_at_target(spread)
+        else:
+            log_bandwidth = math.log(self.bandwidth)
+        self.log_spread.copy_(spread + 2 * log_bandwidth)
+
+    def _log_bandwidth_at_target(self, spread: Tensor) -> float:
+        """Bisect `log h`: the perplexity grows with it."""
+        low, high = LOG_BANDWIDTH_RANGE
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (low + high)
+            widened = torch.logaddexp(self.log_var, spread + 2 * middle)
+            if self._perplexity(widened) < self.target_perplexity:
+                low = middle
+            else:
+                high = middle
+        return 0.5 * (low + high)
+
+
+def silverman_log_bandwidth(num_points: int, dim: int) -> float:
+    """Log of Silverman's bandwidth for points of unit variance in `dim` dimensions."""
+    return (math.log(4 / (dim + 2)) - math.log(num_points)) / (dim + 4)

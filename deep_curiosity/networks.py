@@ -1,0 +1,78 @@
+"""Networks: one multilayer perceptron whose weights carry a leading axis of members."""
+
+import math
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+
+class StackedLinear(nn.Module):
+    """Several linear layers of one shape, applied in one batched product.
+
+    Args:
+        members: Number of layers stacked along the leading axis.
+        in_features: Size of each input.
+        out_features: Size of each output.
+    """
+
+    def __init__(self, members: int, in_features: int, out_features: int) -> None:
+        super().__init__()
+        bound = 1 / math.sqrt(in_features)  # as torch.nn.Linear draws its own
+        self.weight = nn.Parameter(
+            torch.empty(members, in_features, out_features).uniform_(-bound, bound)
+        )
+        self.bias = nn.Parameter(torch.empty(members, 1, out_features).uniform_(-bound, bound))
+
+    def forward(
+        self, value: Float[Tensor, "members batch in_features"]
+    ) -> Float[Tensor, "members batch out_features"]:
+        """Apply each member's layer to its own batch."""
+        return torch.baddbmm(self.bias, value, self.weight)
+
+
+class StackedMLP(nn.Module):
+    """Several multilayer perceptrons of one shape, one batched product per layer.
+
+    Args:
+        members: Number of networks.
+        in_features: Size of each input.
+        hidden_dims: Width of every hidden layer.
+        out_features: Size of each output.
+    """
+
+    def __init__(
+        self, members: int, in_features: int, hidden_dims: Sequence[int], out_features: int
+    ) -> None:
+        super().__init__()
+        widths = [in_features, *hidden_dims, out_features]
+        self.members = members
+        self.layers = nn.ModuleList(
+            StackedLinear(members, *pair) for pair in zip(widths[:-1], widths[1:], strict=True)
+        )
+
+    def forward(
+        self,
+        value: Float[Tensor, "batch in_features"] | Float[Tensor, "members batch in_features"],
+    ) -> Float[Tensor, "members batch out_features"]:
+        """Apply every member to one shared batch, or each member to its own."""
+        if value.ndim == 2:
+            value = value.expand(self.members, -1, -1)
+        for layer in self.layers[:-1]:
+            value = torch.relu(layer(value))
+        return self.layers[-1](value)
+
+
+@contextmanager
+def frozen(module: nn.Module) -> Iterator[None]:
+    """Let gradients pass through a module without reaching its parameters."""
+    parameters = [parameter for parameter in module.parameters() if parameter.requires_grad]
+    for parameter in parameters:
+        parameter.requires_grad_(False)
+    try:
+        yield
+    finally:
+        for parameter in parameters:
+            parameter.requires_grad_(True)

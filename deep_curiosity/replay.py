@@ -1,0 +1,214 @@
+"""Replay: one preallocated tensor, its rows views of raw transitions."""
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from numpy.typing import ArrayLike
+from torch import Tensor
+
+from deep_curiosity.transitions import Transition
+
+if TYPE_CHECKING:
+    from torchrl.data import ReplayBuffer as TorchRLReplayBuffer
+
+
+class ReplayBuffer:
+    """Ring of the newest transitions in one float32 tensor `(capacity, row)`.
+
+    The memory is reserved at once and taken from the system only as rows are written. Sampling is
+    one `index_select`; the fields of a batch are views of it.
+
+    Args:
+        capacity: Number of transitions kept.
+        observation_dim: Length of an observation.
+        action_dim: Length of an action.
+        seed: Of the generator that draws batches.
+        device: Where rows are kept and batches come out.
+
+    Raises:
+        ValueError: If a size is below 1.
+    """
+
+    def __init__(
+        self,
+        capacity: int,
+        observation_dim: int,
+        action_dim: int,
+        *,
+        seed: int = 0,
+        device: str | torch.device = "cpu",
+    ) -> None:
+        sizes = {
+            "capacity": capacity,
+            "observation_dim": observation_dim,
+            "action_dim": action_dim,
+        }
+        for name, size in sizes.items():
+            if size < 1:
+                raise ValueError(f"`{name}` must be at least 1, got {size}.")
+        self.capacity = capacity
+        self.observation_dim = observation_dim
+        self.action_dim = action_dim
+        self._widths = [observation_dim, action_dim, 1, observation_dim, 1, 1]
+        self._rows = torch.empty(capacity, sum(self._widths), device=device)
+        self._num_added = 0
+        self._generator = torch.Generator().manual_seed(seed)
+
+    def __len__(self) -> int:
+        """Number of transitions held."""
+        return min(self._num_added, self.capacity)
+
+    def add(
+        self,
+        observation: ArrayLike,
+        action: ArrayLike,
+        reward: float,
+        next_observation: ArrayLike,
+        terminated: bool,
+        truncated: bool,
+    ) -> None:
+        """Append one transition, in place of the oldest when full.
+
+        Raises:
+            ValueError: If a shape is wrong or a value is NaN or infinite; nothing is then stored.
+        """
+        fields = {
+            "observation": (observation, self.observation_dim),
+            "action": (action, self.action_dim),
+            "reward": (reward, 1),
+            "next_observation": (next_observation, self.observation_dim),
+        }
+        parts = [_finite_vector(name, *field) for name, field in fields.items()]
+        row = np.concatenate([*parts, np.float32([terminated, truncated])])
+        self._rows[self._num_added % self.capacity] = torch.from_numpy(row)
+        self._num_added += 1
+
+    def sample(self, batch_size: int) -> Transition:
+        """Draw transitions uniformly, with replacement.
+
+        Raises:
+            ValueError: If the buffer is empty or `batch_size` is below 1.
+        """
+        if batch_size < 1:
+            raise ValueError(f"`batch_size` must be at least 1, got {batch_size}.")
+        if len(self) == 0:
+            raise ValueError("the replay must hold a transition before it is sampled, got 0.")
+        index = torch.randint(len(self), (batch_size,), generator=self._generator)
+        return self._transition(self._rows.index_select(0, index.to(self._rows.device)))
+
+    def all(self) -> Transition:
+        """Every transition held, oldest first."""
+        split = self._num_added % self.capacity if self._num_added > self.capacity else 0
+        held = self._rows[: len(self)]
+        return self._transition(torch.cat([held[split:], held[:split]]))
+
+    def state_dict(self) -> dict[str, Any]:
+        """Rows held and the state of the generator."""
+        return {
+            "rows": self._rows[: len(self)].clone(),
+            "num_added": self._num_added,
+            "generator": self._generator.get_state(),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Restore what `state_dict` gave, into a buffer of the same sizes.
+
+        Raises:
+            ValueError: If the rows do not fit this buffer.
+        """
+        rows = state["rows"]
+        if rows.shape[1:] != self._rows.shape[1:] or rows.shape[0] != min(
+            state["num_added"], self.capacity
+        ):
+            raise ValueError(
+                f"`rows` must fit a buffer of shape {tuple(self._rows.shape)} after "
+                f"{state['num_added']} additions, got {tuple(rows.shape)}."
+            )
+        self._rows[: rows.shape[0]] = rows
+        self._num_added = state["num_added"]
+        self._generator.set_state(state["generator"])
+
+    def to_torchrl(self) -> "TorchRLReplayBuffer":
+        """Copy into a torchrl buffer under torchrl's usual keys.
+
+        Raises:
+            ImportError: If torchrl is missing.
+        """
+        try:
+            from tensordict import TensorDict
+            from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+        except ImportError as error:
+            raise ImportError(
+                "torchrl is missing: pip install 'deep-curiosity[torchrl]'"
+            ) from error
+        held = self.all()
+        buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(self.capacity), batch_size=256)
+        following = {
+            "observation": held.next_observation,
+            "reward": held.reward.unsqueeze(-1),
+            "terminated": held.terminated.unsqueeze(-1),
+            "truncated": held.truncated.unsqueeze(-1),
+            "done": (held.terminated | held.truncated).unsqueeze(-1),
+        }
+        buffer.extend(
+            TensorDict(
+                {"observation": held.observation, "action": held.action, "next": following},
+                batch_size=len(self),
+            )
+        )
+        return buffer
+
+    @classmethod
+    def from_torchrl(
+        cls, buffer: "TorchRLReplayBuffer", *, capacity: int | None = None, seed: int = 0
+    ) -> "ReplayBuffer":
+        """Copy the transitions of a torchrl buffer that uses torchrl's usual keys.
+
+        Args:
+            buffer: A torchrl buffer of tensordicts.
+            capacity: Of the new buffer; that of the old one's contents when `None`.
+            seed: Of the generator that draws batches.
+        """
+        held = buffer[:]
+        following = held["next"]
+        rows = torch.cat(
+            [
+                held["observation"],
+                held["action"],
+                following["reward"],
+                following["observation"],
+                following["terminated"].float(),
+                following["truncated"].float(),
+            ],
+            dim=-1,
+        )
+        sizes = held["observation"].shape[-1], held["action"].shape[-1]
+        copy = cls(capacity or rows.shape[0], *sizes, seed=seed)
+        rows = rows[-copy.capacity :]
+        copy._rows[: rows.shape[0]] = rows
+        copy._num_added = rows.shape[0]
+        return copy
+
+    def _transition(self, rows: Float[Tensor, "batch row"]) -> Transition:
+        observation, action, reward, next_observation, terminated, truncated = rows.split(
+            self._widths, dim=-1
+        )
+        return Transition(
+            observation=observation,
+            action=action,
+            reward=reward.squeeze(-1),
+            next_observation=next_observation,
+            terminated=terminated.squeeze(-1) > 0,
+            truncated=truncated.squeeze(-1) > 0,
+        )
+
+
+def _finite_vector(name: str, value: ArrayLike, dim: int) -> np.ndarray:
+    vector = np.asarray(value, dtype=np.float32).reshape(-1)
+    if vector.shape != (dim,):
+        raise ValueError(f"`{name}` must have {dim} entries, got {vector.shape[0]}.")
+    if not np.isfinite(vector).all():
+        raise ValueError(f"`{name}` must be finite, got {vector.tolist()}.")
+    return vector

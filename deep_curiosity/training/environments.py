@@ -1,0 +1,93 @@
+"""Environments the agent can live in: found by id, checked at the door, brought to one form."""
+
+import difflib
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+
+import deep_curiosity_envs
+
+GOAL_ENDS_EPISODE = frozenset({"MountainCarContinuous-v0"})
+"""Tasks that say nothing of success, but terminate at the goal and nowhere else."""
+
+
+def make_environment(
+    env_id: str, env_kwargs: Mapping[str, Any] | None = None, *, render_mode: str | None = None
+) -> gymnasium.Env[np.ndarray, np.ndarray]:
+    """Make an environment with vector observations and actions in [-1, 1].
+
+    Args:
+        env_id: Registered id; `PendulumSwingup` is short for `deep_curiosity/PendulumSwingup-v0`;
+            `dm_control/DOMAIN-TASK-v0` needs the `dmc` extra.
+        env_kwargs: Keyword arguments of the environment.
+        render_mode: Passed on.
+
+    Raises:
+        ValueError: If the id is unknown or the spaces are not continuous, bounded vectors.
+        ImportError: If a dm_control id is asked for without its extra.
+    """
+    env_id = _registered_id(env_id)
+    environment = gymnasium.make(
+        env_id, disable_env_checker=True, render_mode=render_mode, **(env_kwargs or {})
+    )
+    if env_id.startswith("dm_control/"):
+        environment = gymnasium.wrappers.FlattenObservation(environment)
+    check_spaces(environment.observation_space, environment.action_space)
+    if env_id in GOAL_ENDS_EPISODE:
+        environment = _TerminationIsSuccess(environment)
+    return gymnasium.wrappers.RescaleAction(environment, np.float32(-1.0), np.float32(1.0))
+
+
+def check_spaces(observation_space: spaces.Space, action_space: spaces.Space) -> None:
+    """Reject spaces that the agent cannot take.
+
+    Raises:
+        ValueError: Naming the space, the rule and the space received.
+    """
+    if not isinstance(action_space, spaces.Box) or len(action_space.shape) != 1:
+        raise ValueError(f"`action_space` must be a Box of continuous vectors, got {action_space}.")
+    if not action_space.is_bounded():
+        raise ValueError(f"`action_space` must be bounded on both sides, got {action_space}.")
+    if not isinstance(observation_space, spaces.Box) or len(observation_space.shape) != 1:
+        raise ValueError(
+            "`observation_space` must be a Box of vectors (flatten dictionaries with "
+            f"gymnasium.wrappers.FlattenObservation; images need an encoder), got "
+            f"{observation_space}."
+        )
+
+
+def num_cells(environment: gymnasium.Env) -> int | None:
+    """Number of cells a task divides its space into, or `None` where it has none."""
+    return getattr(environment.unwrapped, "num_cells", None)
+
+
+def _registered_id(env_id: str) -> str:
+    if env_id.startswith("dm_control/"):
+        _require_shimmy()
+    known = list(gymnasium.registry)
+    for candidate in (env_id, f"deep_curiosity/{env_id}", f"deep_curiosity/{env_id}-v0"):
+        if candidate in known:
+            return candidate
+    nearest = difflib.get_close_matches(env_id, known, n=3, cutoff=0.4)
+    raise ValueError(
+        f"`env_id` must be a registered id such as {', '.join(nearest or known[-3:])}; "
+        f"got {env_id!r}. Tasks of this package: {', '.join(deep_curiosity_envs.TASK_IDS)}."
+    )
+
+
+def _require_shimmy() -> None:
+    try:
+        import shimmy  # noqa: F401
+    except ImportError as error:
+        raise ImportError("shimmy is missing: pip install 'deep-curiosity[dmc]'") from error
+
+
+class _TerminationIsSuccess(gymnasium.Wrapper):
+    """Says in `info["is_success"]` that the goal was reached."""
+
+    def step(self, action: np.ndarray) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        return observation, reward, terminated, truncated, info | {"is_success": terminated}

@@ -1,0 +1,92 @@
+"""The training loop, read from top to bottom like the algorithm box of the paper's section 4."""
+
+import time
+from typing import Any
+
+from tqdm import tqdm
+
+from deep_curiosity.training.interruption import catch_interruption
+from deep_curiosity.training.pictures import draw_run
+from deep_curiosity.training.run import open_run
+from deep_curiosity.training.settings import Settings
+
+
+def train(settings: Settings, *, show_progress: bool = True) -> dict[str, Any]:
+    """Train an agent, or continue a run, and leave its records in a folder.
+
+    Ctrl-C ends the run after the step in progress, with a checkpoint to continue from.
+
+    Args:
+        settings: Of the run.
+        show_progress: Show a bar with return, bonus in nats and steps per second.
+
+    Returns:
+        The summary of the run, as in its `summary.json`.
+
+    Raises:
+        FileExistsError: If `out` already holds a run.
+        FileNotFoundError: If there is no run to continue.
+        ValueError: If the environment or a setting is not one the agent can take.
+    """
+    # 1. Initialise policy, values, model and replay, or restore them
+    with open_run(settings) as run, catch_interruption() as interruption:
+        settings, learner, collector, history = (
+            run.settings,
+            run.learner,
+            run.collector,
+            run.history,
+        )
+        bar = tqdm(total=settings.total_steps, initial=history.step, disable=not show_progress)
+
+        # 2. Repeat at every time step
+        while not run.finished and not interruption.requested:
+            step_started = time.perf_counter()
+            history.step += 1
+            learning = history.step > settings.learning_starts
+
+            # (d) Choose an action, obtain reward and next state; both are kept as they are
+            action = learner.act(collector.observation, explore_uniformly=not learning)
+            step, episode = collector.step(action)
+            learner.store(step)
+            history.saw(collector.info)
+            if episode is not None:
+                history.episodes.append(tuple(episode))
+                run.records.scalars(
+                    history.step,
+                    {"episode/return": episode.episode_return, "episode/length": episode.length},
+                )
+
+            # (a, b, c, e) Renew the model, p(x'), the values, the policy, p(a) and the temperature
+            if learning:
+                metrics = learner.update()
+                history.learned(time.perf_counter() - step_started)
+
+            # Evaluate without noise, log, keep a checkpoint
+            if history.step % settings.evaluation_interval == 0 or run.finished:
+                run.evaluate()
+            if learning and (history.step % settings.log_interval == 0 or run.finished):
+                values = run.progress(metrics)
+                bar.set_postfix_str(_postfix(values), refresh=False)
+            if history.step % settings.checkpoint_interval == 0:
+                run.save()
+            bar.update()
+
+        # 3. Close
+        bar.close()
+        run.save()
+        summary = run.write_summary()
+        draw_run(settings.out)
+        if not run.finished:
+            print(f"Stopped at step {history.step}; continue with --resume {settings.out}")
+        return summary
+
+
+def _postfix(values: dict[str, float]) -> str:
+    """What the progress bar says beside the count."""
+    shown = {
+        "return": values["episode/return_mean"],
+        "eval": values["eval/return_mean"],
+        "nats": values.get("curiosity/nats"),
+        "steps/s": values["time/steps_per_second"],
+    }
+    return ", ".join(f"{name}={value:.3g}" for name, value in shown.items() if value is not None)

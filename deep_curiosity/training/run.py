@@ -1,0 +1,187 @@
+"""A run in progress: its parts, opened together, saved together, closed together."""
+
+import math
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, fields, replace
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import gymnasium
+import torch
+from torch import Tensor
+
+from deep_curiosity.training.checkpoint import load_checkpoint, save_checkpoint
+from deep_curiosity.training.collection import Collector, evaluate
+from deep_curiosity.training.environments import make_environment, num_cells
+from deep_curiosity.training.history import NUM_RECENT, History, mean_return, success_rate
+from deep_curiosity.training.learner import Learner
+from deep_curiosity.training.records import (
+    CONFIG,
+    SUMMARY,
+    Records,
+    open_folder,
+    read_settings,
+    write_json,
+)
+from deep_curiosity.training.settings import Settings
+
+EVALUATION_SEED = 1_000_003  # apart from the seeds of training, the same in every run
+RESUMABLE = ("out", "resume", "total_steps")  # settings that a resumed run may change
+
+
+@dataclass
+class Run:
+    """The parts of a run."""
+
+    settings: Settings
+    environment: gymnasium.Env
+    evaluation_environment: gymnasium.Env
+    learner: Learner
+    collector: Collector
+    history: History
+    records: Records
+    started: float
+    """Reading of `time.perf_counter` at which the run would have begun, had it never paused."""
+
+    @property
+    def finished(self) -> bool:
+        """Whether all steps are taken."""
+        return self.history.step >= self.settings.total_steps
+
+    def evaluate(self) -> None:
+        """Run the deterministic policy for whole episodes."""
+        episodes = evaluate(
+            self.learner.act_deterministically,
+            self.evaluation_environment,
+            episodes=self.settings.evaluation_episodes,
+            seed=EVALUATION_SEED,
+        )
+        self.history.evaluations.extend(tuple(episode) for episode in episodes)
+        self.records.scalars(
+            self.history.step,
+            {
+                "eval/return": _number(mean_return(episodes, num_recent=len(episodes))),
+                "eval/success_rate": _number(success_rate(episodes)),
+            },
+        )
+
+    def progress(self, metrics: dict[str, Tensor]) -> dict[str, float]:
+        """Write a row of everything there is to tell, and return it."""
+        history = self.history
+        values = {
+            "episode/return_mean": _number(mean_return(history.episodes)),
+            "episode/success_rate": _number(success_rate(history.episodes)),
+            "eval/return_mean": _number(mean_return(history.evaluations)),
+            "time/steps_per_second": history.steps_per_second,
+        }
+        total_cells = num_cells(self.environment)
+        if total_cells is not None:
+            values["episode/coverage"] = _number(history.coverage(total_cells))
+        values |= {tag: value.item() for tag, value in metrics.items()}
+        values |= {tag: value.item() for tag, value in self.learner.diagnostics().items()}
+        self.records.row(history.step, values)
+        return values
+
+    def save(self) -> None:
+        """Write a checkpoint of all there is."""
+        self.history.wall_seconds = time.perf_counter() - self.started
+        state = {
+            "learner": self.learner.state_dict(),
+            "collector": self.collector.state_dict(),
+            "history": self.history.state_dict(),
+        }
+        save_checkpoint(self.settings.out, state)
+
+    def write_summary(self) -> dict[str, Any]:
+        """Write the figures by which runs are compared."""
+        settings = self.settings
+        summary = {
+            "env_id": settings.env_id,
+            "seed": settings.seed,
+            "bonus": settings.bonus,
+            "prior": settings.prior,
+            "total_steps": self.history.step,
+            **self.history.summary(num_cells(self.environment)),
+            "versions": {
+                name: version(name) for name in ("deep-curiosity", "torch", "gymnasium", "mujoco")
+            },
+        }
+        write_json(settings.out / SUMMARY, summary)
+        return summary
+
+
+@contextmanager
+def open_run(settings: Settings) -> Iterator[Run]:
+    """Begin a run, or continue the one in `settings.resume`; close it however it ends.
+
+    Raises:
+        FileExistsError: If `out` already holds a run.
+        FileNotFoundError: If there is no run to continue.
+        ValueError: If the environment is not one the agent can take, or a run is to be continued
+            with other settings than its own.
+    """
+    resuming = settings.resume is not None
+    if settings.resume is not None:
+        settings = continued(settings, read_settings(settings.resume))
+    torch.set_num_threads(settings.threads)
+    torch.manual_seed(settings.seed)
+    environment = make_environment(settings.env_id, settings.env_kwargs)
+    evaluation_environment = make_environment(settings.env_id, settings.env_kwargs)
+    learner = Learner(
+        settings, environment.observation_space.shape[0], environment.action_space.shape[0]
+    )
+    collector = Collector(environment, settings.seed)
+    if resuming:
+        history = _restore(settings.out, learner, collector)
+        write_json(settings.out / CONFIG, asdict(settings))
+    else:
+        history = History()
+        open_folder(settings)
+    records = Records(settings.out, start=history.step)
+    started = time.perf_counter() - history.wall_seconds
+    try:
+        yield Run(
+            settings,
+            environment,
+            evaluation_environment,
+            learner,
+            collector,
+            history,
+            records,
+            started,
+        )
+    finally:
+        records.close()
+        environment.close()
+        evaluation_environment.close()
+
+
+def continued(asked: Settings, own: Settings) -> Settings:
+    """Settings with which a run goes on: its own, up to the larger number of steps.
+
+    Raises:
+        ValueError: If a setting is asked for that the run does not have.
+    """
+    default = Settings()
+    for name in (field.name for field in fields(Settings) if field.name not in RESUMABLE):
+        value = getattr(asked, name)
+        if value not in (getattr(default, name), getattr(own, name)):
+            raise ValueError(
+                f"`{name}` must stay as the run in {own.out} has it, {getattr(own, name)!r}, "
+                f"got {value!r}."
+            )
+    return replace(own, total_steps=max(asked.total_steps, own.total_steps))
+
+
+def _restore(folder: Path, learner: Learner, collector: Collector) -> History:
+    state = load_checkpoint(folder)
+    collector.load_state_dict(state["collector"])
+    learner.load_state_dict(state["learner"])
+    return History.from_state(state["history"])
+
+
+def _number(value: float | None) -> float:
+    return math.nan if value is None else value

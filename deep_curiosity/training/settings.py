@@ -1,0 +1,98 @@
+"""What a run is made of: one dataclass, whose comments are the command line's help."""
+
+import math
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Settings of one training run."""
+
+    env_id: str = "deep_curiosity/PendulumSwingup-v0"
+    """Task: one of ours, a gymnasium id such as HalfCheetah-v5, or dm_control/DOMAIN-TASK-v0."""
+    env_kwargs: dict[str, float] = field(default_factory=dict)
+    """Keyword arguments of the environment, such as: action_cost 0.1"""
+    total_steps: int = 20_000
+    """Environment steps, over all resumed parts together."""
+    seed: int = 0
+    """Seeds torch, the environments and the replay."""
+    out: Path = Path("runs/latest")
+    """Folder that receives the run; must not hold one already."""
+    resume: Path | None = None
+    """Folder of a run to continue, in place; its own settings hold, but for total_steps."""
+
+    bonus: Literal["curiosity", "constant", "none"] = "curiosity"
+    """Curiosity; the same constant for every step (a control); or plain soft actor-critic."""
+    bonus_weight: float = 0.1
+    """Factor of the standardised bonus."""
+    curiosity_discount: float = 0.99
+    """Discount of the bonus per step; 0 differentiates the bonus itself, as the paper writes it."""
+    hunger: float = 1.0
+    """Weight of the extrinsic value, alpha."""
+    prior: Literal["uniform", "learned"] = "uniform"
+    """Action prior: flat as in soft actor-critic, or the learned action marginal."""
+    temperature: float = 0.1
+    """Price of a nat, lambda; the initial one where it is tuned."""
+    tune_temperature: bool = True
+    """Adjust the temperature to hold the target information rate."""
+    target_information_rate: float | None = None
+    """Nats per action away from the prior; by default 1.69 (uniform) or 1 (learned) per action
+    dimension."""
+    discount: float = 0.99
+    """Discount of the extrinsic reward per step."""
+    learning_rate: float = 3e-4
+    """Of Adam, for policy, critics, prior and temperature."""
+    polyak: float = 0.005
+    """Share of the critics that moves into the target critics at each update."""
+    batch_size: int = 256
+    """Transitions in an update."""
+    hidden_dim: int = 256
+    """Width of the two hidden layers of policy, critics and models."""
+
+    members: int = 5
+    """Models in the dynamics ensemble."""
+    model_learning_rate: float = 1e-3
+    """Of Adam, for the models."""
+    noise_floor: float = 0.05
+    """Resolution at which the agent sees, in standard deviations of the observation."""
+    components: int = 256
+    """Next states that make up the marginal."""
+    bandwidth: float | Literal["silverman", "perplexity"] = "silverman"
+    """Width of the marginal's kernels."""
+    refresh_interval: int = 10
+    """Updates from one refresh of the marginal to the next."""
+
+    learning_starts: int = 1_000
+    """Steps of uniformly random actions before the first update."""
+    replay_capacity: int = 1_000_000
+    """Transitions kept; memory is taken only as they come."""
+    log_interval: int = 500
+    """Steps from one row of progress.csv to the next."""
+    evaluation_interval: int = 2_000
+    """Steps from one evaluation to the next; there is always one at the end."""
+    evaluation_episodes: int = 10
+    """Episodes of the deterministic policy in each evaluation."""
+    checkpoint_interval: int = 5_000
+    """Steps from one checkpoint to the next; there is always one at the end."""
+    threads: int = 1
+    """CPU threads of torch; two are often slower than one for networks of this size."""
+    device: str = "cpu"
+    """Where networks and replay live."""
+
+    def __post_init__(self) -> None:
+        """Reject what no run could be made of.
+
+        Raises:
+            ValueError: Naming the setting, the rule and the value.
+        """
+        for setting in fields(self):
+            value = getattr(self, setting.name)
+            if setting.type is int and setting.name not in ("seed", "learning_starts") and value < 1:
+                raise ValueError(f"`{setting.name}` must be at least 1, got {value}.")
+            if setting.type is float and not math.isfinite(value):
+                raise ValueError(f"`{setting.name}` must be finite, got {value}.")
+        for name in ("seed", "learning_starts"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"`{name}` must not be negative, got {getattr(self, name)}.")

@@ -1,0 +1,69 @@
+"""The batch that every part speaks: raw transitions, nothing derived."""
+
+from typing import NamedTuple
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor
+
+
+class Transition(NamedTuple):
+    """A batch of environment steps, as the environment gave them.
+
+    The reward holds no bonus, `next_observation` is the true successor also where an episode was
+    cut off, and `terminated` (the world ended: nothing to bootstrap) is kept apart from
+    `truncated` (a clock ended the episode: the value goes on).
+    """
+
+    observation: Float[Tensor, "batch observation_dim"]
+    action: Float[Tensor, "batch action_dim"]
+    reward: Float[Tensor, " batch"]
+    next_observation: Float[Tensor, "batch observation_dim"]
+    terminated: Bool[Tensor, " batch"]
+    truncated: Bool[Tensor, " batch"]
+
+
+def check_batch(name: str, value: Tensor, dim: int) -> None:
+    """Reject what is not a batch of floating-point vectors of length `dim`.
+
+    Raises:
+        TypeError: If `value` is no tensor or has no floating-point dtype.
+        ValueError: If the shape is not `(batch, dim)`.
+    """
+    if not isinstance(value, Tensor) or not value.is_floating_point():
+        kind = value.dtype if isinstance(value, Tensor) else type(value).__name__
+        raise TypeError(f"`{name}` must be a floating-point tensor, got {kind}.")
+    if value.ndim != 2 or value.shape[1] != dim:
+        raise ValueError(f"`{name}` must have shape (batch, {dim}), got {tuple(value.shape)}.")
+
+
+def check_finite(name: str, value: Tensor) -> None:
+    """Reject NaN and infinity, naming the first row that has one.
+
+    Raises:
+        ValueError: If any entry is NaN or infinite.
+    """
+    finite = torch.isfinite(value)
+    if not finite.all():
+        row = int((~finite).nonzero()[0, 0])
+        raise ValueError(f"`{name}` must be finite, got {value[row].tolist()} in row {row}.")
+
+
+def check_transition(transition: Transition, observation_dim: int, action_dim: int) -> None:
+    """Reject a transition whose shapes, kinds or values would spoil statistics for good.
+
+    Raises:
+        TypeError: If a field has the wrong kind.
+        ValueError: If a field has the wrong shape or holds NaN or infinity, or the batch is empty.
+    """
+    for name, dim in (
+        ("observation", observation_dim),
+        ("action", action_dim),
+        ("next_observation", observation_dim),
+    ):
+        value = getattr(transition, name)
+        check_batch(name, value, dim)
+        check_finite(name, value)
+    num_rows = {name: getattr(transition, name).shape[0] for name in transition._fields}
+    if len(set(num_rows.values())) != 1 or num_rows["observation"] == 0:
+        raise ValueError(f"all fields must share one batch size of at least 1, got {num_rows}.")

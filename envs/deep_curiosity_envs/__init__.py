@@ -1,0 +1,44 @@
+"""Small MuJoCo tasks whose rewards are sparse, registered with Gymnasium on import.
+
+Example:
+    >>> import gymnasium
+    >>> import deep_curiosity_envs
+    >>> env = gymnasium.make("deep_curiosity/PendulumSwingup-v0", action_cost=0.1)
+"""
+
+import gymnasium
+
+from deep_curiosity_envs.cartpole import CartpoleSwingup
+from deep_curiosity_envs.mujoco_task import MujocoTask
+from deep_curiosity_envs.pendulum import PendulumSwingup
+from deep_curiosity_envs.point_maze import PointMaze
+from deep_curiosity_envs.reacher import ReacherSparse
+
+__all__ = [
+    "TASK_IDS",
+    "CartpoleSwingup",
+    "MujocoTask",
+    "PendulumSwingup",
+    "PointMaze",
+    "ReacherSparse",
+]
+
+# Control steps after which Gymnasium truncates an episode.
+_EPISODE_STEPS: dict[type[MujocoTask], int] = {
+    PendulumSwingup: 200,
+    CartpoleSwingup: 200,
+    PointMaze: 300,
+    ReacherSparse: 100,
+}
+
+
+def _register(task: type[MujocoTask], num_steps: int) -> str:
+    """Make the task known to Gymnasium, once, and return its id."""
+    task_id = f"deep_curiosity/{task.__name__}-v0"
+    if task_id not in gymnasium.registry:
+        entry_point = f"{task.__module__}:{task.__name__}"
+        gymnasium.register(task_id, entry_point=entry_point, max_episode_steps=num_steps)
+    return task_id
+
+
+TASK_IDS = tuple(_register(task, num_steps) for task, num_steps in _EPISODE_STEPS.items())

@@ -1,0 +1,187 @@
+"""The contract that every MuJoCo task here follows, and the stepping and rendering they share."""
+
+import abc
+import math
+from collections.abc import Sequence
+from importlib import resources
+from typing import Any, ClassVar
+
+import gymnasium
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+Array32 = NDArray[np.float32]
+
+CONTROL_STEP = 0.05  # s; 20 decisions per second are enough for poles of half a metre
+IMAGE_SIZE = (480, 480)  # height and width in pixels; MuJoCo's default buffer is 480 pixels high
+
+
+class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
+    """A continuous-control task with a sparse reward of at most one per step.
+
+    Actions lie in [-1, 1]; what lies outside is clipped. A step pays `get_reward()`, in [0, 1],
+    minus `action_cost` times the mean square of the clipped action, so a return is at most the
+    length of the episode. Every `info` holds `is_success`. An episode is a function of the seed
+    given to `reset` and of the actions.
+
+    Args:
+        model: The compiled MuJoCo model; every actuator has the control range [-1, 1].
+        observation_bound: Largest magnitude of every observation coordinate. Velocities beyond
+            it, which the task's own forces hardly reach, are clipped.
+        action_cost: Reward lost per step at full action.
+        render_mode: `"rgb_array"`, or None for a task that is never drawn.
+
+    Raises:
+        ValueError: If the action cost is negative or not finite, the render mode is unknown, or
+            the control step is not a whole multiple of the model's physics step.
+    """
+
+    metadata: dict[str, Any] = {  # noqa: RUF012 (Gymnasium declares it on the instance)
+        "render_modes": ["rgb_array"],
+        "render_fps": round(1 / CONTROL_STEP),
+    }
+    max_reward_per_step: ClassVar[float] = 1.0
+
+    def __init__(
+        self,
+        model: mujoco.MjModel,
+        *,
+        observation_bound: Sequence[float],
+        action_cost: float = 0.0,
+        render_mode: str | None = None,
+    ) -> None:
+        if not 0.0 <= action_cost < math.inf:
+            raise ValueError(f"`action_cost` must be finite and not negative, got {action_cost}.")
+        if render_mode not in (None, "rgb_array"):
+            raise ValueError(f'`render_mode` must be None or "rgb_array", got {render_mode!r}.')
+        self.model, self.data = model, mujoco.MjData(model)
+        self.action_cost, self.render_mode = action_cost, render_mode
+        bound = np.asarray(observation_bound, dtype=np.float32)
+        self.observation_space = gymnasium.spaces.Box(-bound, bound, dtype=np.float32)
+        self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (model.nu,), dtype=np.float32)
+        self._bound = bound
+        self._num_physics_steps = count_physics_steps(CONTROL_STEP, model.opt.timestep)
+        self._renderer: mujoco.Renderer | None = None
+
+    @abc.abstractmethod
+    def initialize_episode(self) -> None:
+        """Place the bodies for a new episode; random draws come from `self.np_random`."""
+
+    @abc.abstractmethod
+    def get_observation(self) -> Array32:
+        """What the agent sees of the present state."""
+
+    @abc.abstractmethod
+    def get_reward(self) -> float:
+        """Reward of the present state in [0, 1], without the action's cost."""
+
+    @abc.abstractmethod
+    def is_success(self) -> bool:
+        """Whether the task has been solved in this episode."""
+
+    def is_terminated(self) -> bool:
+        """Whether the present state ends the episode; by default none does."""
+        return False
+
+    def get_info(self) -> dict[str, Any]:
+        """Extra diagnostics of the present state, beside `is_success`."""
+        return {}
+
+    def track_episode(self) -> None:
+        """Remember, once per step, what later states of the episode no longer show."""
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Array32, dict[str, Any]]:
+        """Start an episode that depends on nothing but the random generator's state."""
+        super().reset(seed=seed)
+        mujoco.mj_resetData(self.model, self.data)
+        self.initialize_episode()
+        mujoco.mj_forward(self.model, self.data)
+        return self._observe(), self._info()
+
+    def step(self, action: Array32) -> tuple[Array32, float, bool, bool, dict[str, Any]]:
+        """Hold the action for one control step.
+
+        Raises:
+            ValueError: If the action has another shape than the action space, or is not finite.
+        """
+        control = self._check_action(action)
+        self.data.ctrl[:] = control
+        mujoco.mj_step(self.model, self.data, self._num_physics_steps)
+        mujoco.mj_kinematics(self.model, self.data)  # mj_step leaves positions one step behind
+        self.track_episode()
+        cost = self.action_cost * float(control @ control) / control.size
+        reward = self.get_reward() - cost
+        return self._observe(), reward, self.is_terminated(), False, self._info()
+
+    def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
+        """Picture of the present state, height by width by RGB; None without a render mode.
+
+        Raises:
+            RuntimeError: If MuJoCo finds no OpenGL library to draw with.
+        """
+        if self.render_mode is None:
+            return None
+        if self._renderer is None:
+            self._renderer = make_renderer(self.model)
+        self._renderer.update_scene(self.data, camera="overview")
+        return self._renderer.render()
+
+    def close(self) -> None:
+        """Free the renderer, if there is one; may be called again."""
+        if self._renderer is not None:
+            self._renderer.close()
+            self._renderer = None
+
+    def _check_action(self, action: Array32) -> NDArray[np.float64]:
+        control = np.asarray(action, dtype=np.float64)
+        if control.shape != self.action_space.shape:
+            shape = self.action_space.shape
+            raise ValueError(f"`action` must have shape {shape}, got shape {control.shape}.")
+        if not np.isfinite(control).all():
+            raise ValueError(f"`action` must be finite, got {action}.")
+        return np.minimum(np.maximum(control, -1.0), 1.0)
+
+    def _observe(self) -> Array32:
+        return np.minimum(np.maximum(self.get_observation(), -self._bound), self._bound)
+
+    def _info(self) -> dict[str, Any]:
+        return {"is_success": self.is_success(), **self.get_info()}
+
+
+def load_spec(file_name: str) -> mujoco.MjSpec:
+    """Editable model from an MJCF file of this package's `assets`."""
+    asset = resources.files("deep_curiosity_envs").joinpath("assets", file_name)
+    return mujoco.MjSpec.from_string(asset.read_text(encoding="utf-8"))
+
+
+def count_physics_steps(control_step: float, physics_step: float) -> int:
+    """Number of physics steps in a control step, both in seconds.
+
+    Raises:
+        ValueError: If it is not a whole number of at least one.
+    """
+    num_steps = round(control_step / physics_step)
+    if num_steps < 1 or not math.isclose(num_steps * physics_step, control_step):
+        raise ValueError(
+            "`control_step` must be a whole multiple of the physics step, "
+            f"got {control_step} s and {physics_step} s."
+        )
+    return num_steps
+
+
+def make_renderer(model: mujoco.MjModel) -> mujoco.Renderer:
+    """Offscreen renderer of a model.
+
+    Raises:
+        RuntimeError: If MuJoCo finds no OpenGL library to draw with.
+    """
+    try:
+        return mujoco.Renderer(model, *IMAGE_SIZE)
+    except Exception as error:  # each OpenGL backend fails with exceptions of its own
+        raise RuntimeError(
+            "MuJoCo could not start OpenGL. Set the environment variable MUJOCO_GL=egl or "
+            "MUJOCO_GL=osmesa before Python starts, with that library installed."
+        ) from error

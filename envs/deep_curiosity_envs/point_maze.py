@@ -1,0 +1,177 @@
+"""A point mass that has to find its way through three corridors to a goal it cannot see."""
+
+import math
+from collections import deque
+from typing import Any, ClassVar
+
+import mujoco
+import numpy as np
+
+from deep_curiosity_envs.mujoco_task import Array32, MujocoTask, load_spec
+
+# Seen from above: S is the start, G the goal, # a wall.
+MAZE = (
+    "####################",
+    "#S.................#",
+    "#..................#",
+    "#..................#",
+    "#..................#",
+    "#..................#",
+    "###############....#",
+    "#..................#",
+    "#..................#",
+    "#..................#",
+    "#..................#",
+    "#..................#",
+    "#..................#",
+    "#....###############",
+    "#..................#",
+    "#..................#",
+    "#..................#",
+    "#..................#",
+    "#.................G#",
+    "####################",
+)
+CELL_SIZE = 0.1  # m; the point, 6 cm wide, fits through every gap
+WALL_HEIGHT = 0.05  # m above and below the middle of the point, which is thinner
+GOAL_RADIUS = 0.2  # m; four control steps at full speed, so the point cannot jump over it
+SPEED_SCALE = 1.0  # m/s; what full force reaches against the damping
+SPEED_BOUND = 2.0  # in units of SPEED_SCALE
+START_NOISE = 0.2  # of a cell
+
+Cell = tuple[int, int]  # row from the top, column from the left
+
+
+def find_cell(mark: str) -> Cell:
+    """Cell of the maze that bears a mark."""
+    row = next(row for row, line in enumerate(MAZE) if mark in line)
+    return row, MAZE[row].index(mark)
+
+
+def reachable_cells(start: Cell) -> dict[Cell, int]:
+    """Free cells that can be reached from a cell, numbered by their distance from it."""
+    index, frontier = {start: 0}, deque([start])
+    while frontier:
+        row, column = frontier.popleft()
+        for cell in ((row, column + 1), (row + 1, column), (row, column - 1), (row - 1, column)):
+            if MAZE[cell[0]][cell[1]] != "#" and cell not in index:
+                index[cell] = len(index)
+                frontier.append(cell)
+    return index
+
+
+def cell_centre(cell: Cell) -> tuple[float, float]:
+    """Middle of a cell, in m to the right of and above the middle of the arena."""
+    row, column = cell
+    x = (column + 0.5 - len(MAZE[0]) / 2) * CELL_SIZE
+    y = (len(MAZE) / 2 - row - 0.5) * CELL_SIZE
+    return x, y
+
+
+def cell_at(x: float, y: float) -> Cell:
+    """Cell that holds a point of the arena, both coordinates in m."""
+    row = math.floor(len(MAZE) / 2 - y / CELL_SIZE)
+    column = math.floor(x / CELL_SIZE + len(MAZE[0]) / 2)
+    return row, column
+
+
+def maze_model() -> mujoco.MjModel:
+    """The point's model with the maze's walls and goal in place."""
+    spec = load_spec("point_maze.xml")
+    half = CELL_SIZE / 2
+    for row, line in enumerate(MAZE):
+        for column, mark in enumerate(line):
+            if mark == "#":
+                spec.worldbody.add_geom(
+                    name=f"wall_{row}_{column}",
+                    type=mujoco.mjtGeom.mjGEOM_BOX,
+                    pos=[*cell_centre((row, column)), 0.0],
+                    size=[half, half, WALL_HEIGHT],
+                )
+    spec.site("goal").pos[:2] = cell_centre(find_cell("G"))
+    spec.site("goal").size[0] = GOAL_RADIUS
+    return spec.compile()
+
+
+class PointMaze(MujocoTask):
+    """Push a point through an S of three corridors, from one corner to the opposite one.
+
+    The point starts at rest in the top left corner. Reaching the goal, in the bottom right
+    corner, pays one and ends the episode; nothing else pays. At full force the way takes under
+    half of an episode, and random pushes do not get there. Every `info` holds `cell`, the index
+    in `range(num_cells)` of the cell the point is in, numbered by distance from the start.
+
+    Observation: position in half arenas (1 m) to the right and up, and velocity in m/s.
+
+    Args:
+        action_cost: Reward lost per step at full force on both axes.
+        goal_terminates: Whether the goal ends the episode. If not, every step in it pays.
+        render_mode: `"rgb_array"` or None.
+    """
+
+    _cell_index: ClassVar[dict[Cell, int]] = reachable_cells(find_cell("S"))
+    num_cells: ClassVar[int] = len(_cell_index)
+
+    def __init__(
+        self,
+        action_cost: float = 0.0,
+        goal_terminates: bool = True,
+        render_mode: str | None = None,
+    ) -> None:
+        super().__init__(
+            maze_model(),
+            observation_bound=(1.0, 1.0, SPEED_BOUND, SPEED_BOUND),
+            action_cost=action_cost,
+            render_mode=render_mode,
+        )
+        self.goal_terminates = goal_terminates
+        self._goal_position = cell_centre(find_cell("G"))
+        self._arrived = False
+
+    @property
+    def position(self) -> tuple[float, float]:
+        """Place of the point to the right of and above the middle of the arena, in m."""
+        x, y = self.data.qpos
+        return float(x), float(y)
+
+    @property
+    def goal_distance(self) -> float:
+        """Distance as the crow flies from the point to the middle of the goal, in m."""
+        return math.dist(self.position, self._goal_position)
+
+    @property
+    def cell(self) -> int:
+        """Index of the cell the point is in."""
+        return self._cell_index[cell_at(*self.position)]
+
+    def initialize_episode(self) -> None:
+        """Put the point near the middle of the start cell, at rest."""
+        noise = self.np_random.uniform(-START_NOISE, START_NOISE, size=2) * CELL_SIZE
+        self.data.qpos[:] = cell_centre(find_cell("S")) + noise
+        self._arrived = False
+
+    def get_observation(self) -> Array32:
+        """Scaled position and velocity."""
+        half_arena = len(MAZE) * CELL_SIZE / 2
+        place, velocity = self.data.qpos / half_arena, self.data.qvel / SPEED_SCALE
+        return np.concatenate((place, velocity), dtype=np.float32)
+
+    def get_reward(self) -> float:
+        """One in the goal, else zero."""
+        return float(self.goal_distance < GOAL_RADIUS)
+
+    def track_episode(self) -> None:
+        """Remember that the goal has been reached."""
+        self._arrived = self._arrived or self.goal_distance < GOAL_RADIUS
+
+    def is_success(self) -> bool:
+        """Whether the goal has been reached in this episode."""
+        return self._arrived
+
+    def is_terminated(self) -> bool:
+        """Whether the goal has been reached and ends the episode."""
+        return self.goal_terminates and self._arrived
+
+    def get_info(self) -> dict[str, Any]:
+        """Index of the cell the point is in."""
+        return {"cell": self.cell}

@@ -1,0 +1,21 @@
+"""Train the curious agent, or plain soft actor-critic, on a continuous-control task."""
+
+import sys
+
+import tyro
+
+from deep_curiosity.training import Settings, train
+
+
+def main() -> None:
+    """Read the command line, train, and say where the run lies."""
+    settings = tyro.cli(Settings, description=__doc__)
+    try:
+        summary = train(settings)
+    except (FileExistsError, FileNotFoundError, ImportError, ValueError) as error:
+        sys.exit(f"error: {error}")
+    print(f"evaluation return {summary['evaluation_return']}, records in {settings.out}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,59 @@
+import math
+
+import pytest
+
+from deep_curiosity_envs.rewards import Hold, tolerance
+
+
+@pytest.mark.parametrize(("value", "expected"), [(-1.1, 0), (-1, 1), (0, 1), (1, 1), (1.1, 0)])
+def test_tolerance_without_margin_is_a_sharp_window(value, expected):
+    assert tolerance(value, bounds=(-1.0, 1.0)) == expected
+
+
+def test_tolerance_leaves_the_stated_value_at_the_margin():
+    assert tolerance(3.0, bounds=(0.0, 1.0), margin=2.0) == pytest.approx(0.1)
+    assert tolerance(-2.0, bounds=(0.0, 1.0), margin=2.0, value_at_margin=0.5) == 0.5
+
+
+def test_tolerance_falls_like_a_gaussian():
+    near = tolerance(2.0, bounds=(0.0, 1.0), margin=2.0)
+    far = tolerance(3.0, bounds=(0.0, 1.0), margin=2.0)
+    assert math.log(far) == pytest.approx(4 * math.log(near))
+
+
+@pytest.mark.parametrize(
+    ("kwargs", "name"),
+    [
+        ({"bounds": (1.0, 0.0)}, "bounds"),
+        ({"bounds": (0.0, math.nan)}, "bounds"),
+        ({"bounds": (0.0, 1.0), "margin": -1.0}, "margin"),
+        ({"bounds": (0.0, 1.0), "margin": math.inf}, "margin"),
+        ({"bounds": (0.0, 1.0), "margin": 1.0, "value_at_margin": 1.0}, "value_at_margin"),
+    ],
+)
+def test_tolerance_rejects_what_has_no_meaning(kwargs, name):
+    with pytest.raises(ValueError, match=f"`{name}` must"):
+        tolerance(0.0, **kwargs)
+
+
+def test_hold_needs_the_steps_in_a_row():
+    hold = Hold(3)
+    for condition in (True, True, False, True, True):
+        hold.update(condition)
+    assert not hold.achieved
+    hold.update(True)
+    assert hold.achieved
+
+
+def test_hold_stays_achieved_until_reset():
+    hold = Hold(1)
+    hold.update(True)
+    hold.update(False)
+    assert hold.achieved
+    hold.reset()
+    assert not hold.achieved
+
+
+def test_hold_rejects_zero_steps():
+    with pytest.raises(ValueError, match="`num_steps` must be at least 1, got 0"):
+        Hold(0)
