@@ -66,6 +66,10 @@ class CuriousActorCritic(nn.Module):
     Actor-Critic Algorithms and Applications" (2018), https://arxiv.org/abs/1812.05905.
     """
 
+    _hunger: Tensor
+    discounts: Tensor
+    prior: FlatPrior | ActionMarginal
+
     def __init__(
         self,
         observation_dim: int,
@@ -164,7 +168,7 @@ class CuriousActorCritic(nn.Module):
             What to log: detached 0-d tensors, information in nats.
 
         Raises:
-            ValueError: If a bonus is given to an agent without curiosity, or none to a curious one.
+            ValueError: If a bonus is given to an agent without curiosity, or not to a curious one.
         """
         if self.curiosity != (bonus is not None):
             raise ValueError(
@@ -210,7 +214,7 @@ class CuriousActorCritic(nn.Module):
     def _update_actor(
         self, transition: Transition, bonus: Bonus | None
     ) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
-        """Step the policy; return its pre-actions and their information cost for prior and price."""
+        """Step the policy; return its pre-actions, their information cost, and what to log."""
         policy = self.policy(transition.observation)
         pre_action = policy.pre_action(torch.randn_like(policy.loc))
         with frozen(self.prior):
@@ -262,9 +266,10 @@ class CuriousActorCritic(nn.Module):
 
     def _move_targets(self) -> None:
         """Polyak averaging, all parameters in one call."""
-        targets = list(self.target_critics.parameters())
+        targets: list[Tensor] = list(self.target_critics.parameters())
+        sources: list[Tensor] = list(self.critics.parameters())
         with torch.no_grad():
-            torch._foreach_lerp_(targets, list(self.critics.parameters()), self.polyak)
+            torch._foreach_lerp_(targets, sources, self.polyak)
 
     def _step(self, name: str, loss: Tensor) -> None:
         self.optimizers[name].zero_grad()

@@ -66,8 +66,10 @@ def kl_to_mixture_upper(
     Returns:
         The bound for each Gaussian, differentiable in every argument.
     """
-    log_density = expected_log_density(loc, log_var, component_loc, component_log_var)
-    return -gaussian_entropy(log_var) - _log_mean(log_density, component_log_weight)
+    log_density = expected_log_density(
+        loc, log_var, component_loc, component_log_var, component_log_weight
+    )
+    return -gaussian_entropy(log_var) - torch.logsumexp(log_density, dim=-1)
 
 
 def kl_to_mixture_lower(
@@ -77,7 +79,7 @@ def kl_to_mixture_lower(
     component_log_var: Float[Tensor, "components dim"],
     component_log_weight: Float[Tensor, " components"] | None = None,
 ) -> Float[Tensor, "*batch"]:
-    r"""Lower bound of the divergence from a Gaussian `f` to a mixture, by product overlap, in nats.
+    r"""Lower bound of the divergence from a Gaussian `f` to a mixture, by overlap, in nats.
 
     .. math:: -H(f) - \log \sum_j w_j \, N(\mu_f; \mu_j, S_f + S_j)
 
@@ -87,7 +89,8 @@ def kl_to_mixture_lower(
         log_var.unsqueeze(-2), component_log_var
     )  # *batch components dim
     overlap = gaussian_log_prob(loc.unsqueeze(-2), component_loc, 0.5 * sum_log_var)
-    return -gaussian_entropy(log_var) - _log_mean(overlap, component_log_weight)
+    log_weight = _log_weight(component_loc, component_log_weight)
+    return -gaussian_entropy(log_var) - torch.logsumexp(overlap + log_weight, dim=-1)
 
 
 def kl_to_mixture_sampled(
@@ -124,9 +127,11 @@ def mixture_log_density(
     component_log_weight: Float[Tensor, " components"] | None = None,
 ) -> Float[Tensor, "*batch"]:
     """Log density of a mixture of diagonal Gaussians at each point, in nats."""
-    no_spread = torch.zeros_like(value)
-    log_density = _expected_log_density(value, no_spread, component_loc, component_log_var)
-    return _log_mean(log_density, component_log_weight)
+    point = torch.full_like(value, -math.inf)  # the log variance of a Gaussian without width
+    log_density = expected_log_density(
+        value, point, component_loc, component_log_var, component_log_weight
+    )
+    return torch.logsumexp(log_density, dim=-1)
 
 
 def expected_log_density(
@@ -134,33 +139,31 @@ def expected_log_density(
     log_var: Float[Tensor, "*batch dim"],
     component_loc: Float[Tensor, "components dim"],
     component_log_var: Float[Tensor, "components dim"],
+    component_log_weight: Float[Tensor, " components"] | None = None,
 ) -> Float[Tensor, "*batch components"]:
-    """Negative cross-entropy `E_f[log m_j]` of each Gaussian with each component, in nats."""
-    return _expected_log_density(loc, log_var.exp(), component_loc, component_log_var)
+    """Expected log density `E_f[log w_j m_j]` of each Gaussian under each component, in nats.
 
-
-def _expected_log_density(
-    loc: Float[Tensor, "*batch dim"],
-    var: Float[Tensor, "*batch dim"],
-    component_loc: Float[Tensor, "components dim"],
-    component_log_var: Float[Tensor, "components dim"],
-) -> Float[Tensor, "*batch components"]:
-    """Expected log density under every component: linear in two moments, so one product."""
-    centre = component_loc.mean(0)  # a common shift, so that the squares below lose fewer digits
-    loc, component_loc = loc - centre, component_loc - centre
+    It is linear in the first two moments of the Gaussian: one matrix product for all pairs. The
+    product is taken in float64, because sharp Gaussians leave small differences of large squares.
+    """
+    dtype = loc.dtype
+    loc, log_var = loc.double(), log_var.double()
+    component_loc, component_log_var = component_loc.double(), component_log_var.double()
     precision = torch.exp(-component_log_var)
     weighted_loc = component_loc * precision
-    moments = torch.cat([var + loc.square(), loc], dim=-1)
+    moments = torch.cat([log_var.exp() + loc.square(), loc], dim=-1)
     slopes = torch.cat([-0.5 * precision, weighted_loc], dim=-1)  # components 2*dim
     offset = -0.5 * (component_log_var + component_loc * weighted_loc + LOG_TWO_PI).sum(-1)
-    return moments @ slopes.mT + offset
+    offset = offset + _log_weight(component_loc, component_log_weight)
+    product = torch.addmm(offset, moments.reshape(-1, moments.shape[-1]), slopes.mT)
+    return product.to(dtype).reshape(*moments.shape[:-1], -1)
 
 
-def _log_mean(
-    log_density: Float[Tensor, "*batch components"],
+def _log_weight(
+    component_loc: Float[Tensor, "components dim"],
     component_log_weight: Float[Tensor, " components"] | None,
-) -> Float[Tensor, "*batch"]:
-    """Log of the weighted mean over components."""
+) -> Float[Tensor, " components"] | float:
+    """Log weights of the components, equal where none are given."""
     if component_log_weight is None:
-        return torch.logsumexp(log_density, dim=-1) - math.log(log_density.shape[-1])
-    return torch.logsumexp(log_density + component_log_weight, dim=-1)
+        return -math.log(component_loc.shape[0])
+    return component_log_weight

@@ -144,7 +144,7 @@ class DynamicsEnsemble(nn.Module):
 
 
 def soft_clamp(value: Float[Tensor, "*batch"], low: float, high: float) -> Float[Tensor, "*batch"]:
-    """Squeeze into an interval with a slope that never vanishes, so a stray log variance returns."""
+    """Squeeze into an interval by a slope that never vanishes: a stray log variance returns."""
     value = high - softplus(high - value)
     return low + softplus(value - low)
 

@@ -57,5 +57,5 @@ def temperature_loss(
     information_cost: Float[Tensor, " batch"],
     target_rate: float,
 ) -> Float[Tensor, ""]:
-    """Dual loss of the constraint (10): the price of a nat rises while the rate is above target."""
+    """Dual loss of the constraint (10): a nat's price rises while the rate is above target."""
     return -log_temperature * (information_cost.mean() - target_rate).detach()

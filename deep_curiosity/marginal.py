@@ -64,7 +64,8 @@ class NextStateMarginal(nn.Module):
             )
         if not 1 < target_perplexity < components:
             raise ValueError(
-                f"`target_perplexity` must lie between 1 and {components}, got {target_perplexity}."
+                f"`target_perplexity` must lie between 1 and `components` ({components}), "
+                f"got {target_perplexity}."
             )
         self.bandwidth = bandwidth
         self.target_perplexity = target_perplexity
@@ -120,8 +121,10 @@ class NextStateMarginal(nn.Module):
         return self._perplexity(self.component_log_var)
 
     def _perplexity(self, component_log_var: Tensor) -> Tensor:
-        log_density = expected_log_density(self.loc, self.log_var, self.loc, component_log_var)
-        log_share = torch.log_softmax(log_density + self.log_weight, dim=-1)
+        log_density = expected_log_density(
+            self.loc, self.log_var, self.loc, component_log_var, self.log_weight
+        )
+        log_share = torch.log_softmax(log_density, dim=-1)
         entropy = torch.special.entr(log_share.exp()).sum(-1)
         return (self.log_weight.exp() * entropy).sum().exp()
 

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from itertools import pairwise
 
 import torch
 from jaxtyping import Float
@@ -49,9 +50,7 @@ class StackedMLP(nn.Module):
         super().__init__()
         widths = [in_features, *hidden_dims, out_features]
         self.members = members
-        self.layers = nn.ModuleList(
-            StackedLinear(members, *pair) for pair in zip(widths[:-1], widths[1:], strict=True)
-        )
+        self.layers = nn.ModuleList(StackedLinear(members, *pair) for pair in pairwise(widths))
 
     def forward(
         self,

@@ -81,7 +81,7 @@ class ReplayBuffer:
             "next_observation": (next_observation, self.observation_dim),
         }
         parts = [_finite_vector(name, *field) for name, field in fields.items()]
-        row = np.concatenate([*parts, np.float32([terminated, truncated])])
+        row = np.concatenate([*parts, np.array([terminated, truncated], np.float32)])
         self._rows[self._num_added % self.capacity] = torch.from_numpy(row)
         self._num_added += 1
 

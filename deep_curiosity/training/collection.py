@@ -52,6 +52,9 @@ class Collector:
         self.environment = environment
         self.seed = seed
         self.num_episodes = 0
+        self.observation: np.ndarray
+        self.actions: list[np.ndarray]
+        self.episode: Episode
         self.info: dict[str, Any] = {}
         """What the environment said of the newest step."""
         self._start()
@@ -74,10 +77,9 @@ class Collector:
 
     def state_dict(self) -> dict[str, Any]:
         """Number of the episode and the actions taken in it."""
-        shape = (len(self.actions), *self.environment.action_space.shape)
         return {
             "num_episodes": self.num_episodes,
-            "actions": torch.from_numpy(np.reshape(np.array(self.actions, np.float32), shape)),
+            "actions": [torch.from_numpy(action) for action in self.actions],
             "observation": torch.from_numpy(np.array(self.observation)),
         }
 
@@ -89,8 +91,8 @@ class Collector:
         """
         self.num_episodes = state["num_episodes"]
         self._start()
-        for action in state["actions"].numpy():
-            self.step(action)
+        for action in state["actions"]:
+            self.step(action.numpy())
         expected = state["observation"].numpy()
         if not np.array_equal(self.observation, expected):
             raise RuntimeError(
@@ -102,7 +104,7 @@ class Collector:
     def _start(self) -> None:
         seed = np.random.SeedSequence((self.seed, self.num_episodes)).generate_state(1)[0]
         self.observation, _ = self.environment.reset(seed=int(seed))
-        self.actions: list[np.ndarray] = []
+        self.actions = []
         self.episode = Episode()
 
 

@@ -48,7 +48,9 @@ def check_spaces(observation_space: spaces.Space, action_space: spaces.Space) ->
         ValueError: Naming the space, the rule and the space received.
     """
     if not isinstance(action_space, spaces.Box) or len(action_space.shape) != 1:
-        raise ValueError(f"`action_space` must be a Box of continuous vectors, got {action_space}.")
+        raise ValueError(
+            f"`action_space` must be a Box of continuous vectors, got {action_space}."
+        )
     if not action_space.is_bounded():
         raise ValueError(f"`action_space` must be bounded on both sides, got {action_space}.")
     if not isinstance(observation_space, spaces.Box) or len(observation_space.shape) != 1:
@@ -62,6 +64,28 @@ def check_spaces(observation_space: spaces.Space, action_space: spaces.Space) ->
 def num_cells(environment: gymnasium.Env) -> int | None:
     """Number of cells a task divides its space into, or `None` where it has none."""
     return getattr(environment.unwrapped, "num_cells", None)
+
+
+def picture_features(env_id: str, env_kwargs: Mapping[str, Any]) -> tuple[int, int]:
+    """Two entries of the observation that tell most when drawn against each other.
+
+    Tasks name them in `metadata["picture_features"]`; otherwise the first and the last are taken.
+    """
+    environment = make_environment(env_id, env_kwargs)
+    last = observation_dim(environment) - 1
+    features: tuple[int, int] = environment.metadata.get("picture_features", (0, last))
+    environment.close()
+    return features
+
+
+def observation_dim(environment: gymnasium.Env) -> int:
+    """Length of an observation of an environment made here."""
+    return int(np.prod(environment.observation_space.shape or ()))
+
+
+def action_dim(environment: gymnasium.Env) -> int:
+    """Length of an action of an environment made here."""
+    return int(np.prod(environment.action_space.shape or ()))
 
 
 def _registered_id(env_id: str) -> str:

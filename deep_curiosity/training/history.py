@@ -7,6 +7,7 @@ from typing import Any
 
 from deep_curiosity.training.collection import Episode
 
+EPISODE_LISTS = ("episodes", "evaluations")
 NUM_RECENT = 10  # episodes over which returns and success are averaged
 
 
@@ -15,10 +16,10 @@ class History:
     """Episodes, evaluations and visited cells, by step."""
 
     step: int = 0
-    episodes: list[tuple[float, int, float]] = field(default_factory=list)
-    """Return, length and success of each training episode."""
-    evaluations: list[tuple[float, int, float]] = field(default_factory=list)
-    """The same of each evaluation episode."""
+    episodes: list[Episode] = field(default_factory=list)
+    """Of training."""
+    evaluations: list[Episode] = field(default_factory=list)
+    """Of evaluation; always whole batches of `evaluation_episodes`."""
     first_success_step: int | None = None
     cells: dict[int, int] = field(default_factory=dict)
     """Visited cell to the step at which it was first visited."""
@@ -62,25 +63,25 @@ class History:
 
     def state_dict(self) -> dict[str, Any]:
         """Plain lists and numbers."""
-        return asdict(self)
+        episodes = {name: [tuple(e) for e in getattr(self, name)] for name in EPISODE_LISTS}
+        return asdict(self) | episodes
 
     @classmethod
     def from_state(cls, state: dict[str, Any]) -> "History":
         """Restore what `state_dict` gave."""
-        return cls(**state)
+        episodes = {name: [Episode(*e) for e in state[name]] for name in EPISODE_LISTS}
+        return cls(**state | episodes)
 
 
-def mean_return(
-    episodes: Sequence[Episode | tuple[float, int, float]], num_recent: int = NUM_RECENT
-) -> float | None:
+def mean_return(episodes: Sequence[Episode], num_recent: int = NUM_RECENT) -> float | None:
     """Mean return of the newest episodes, `None` without any."""
-    returns = [episode[0] for episode in episodes[-num_recent:]]
+    returns = [episode.episode_return for episode in episodes[-num_recent:]]
     return sum(returns) / len(returns) if returns else None
 
 
-def success_rate(episodes: Sequence[Episode | tuple[float, int, float]]) -> float | None:
+def success_rate(episodes: Sequence[Episode]) -> float | None:
     """Share of successes among the newest episodes, `None` where the task defines none."""
-    successes = [episode[2] for episode in episodes[-NUM_RECENT:]]
+    successes = [episode.success for episode in episodes[-NUM_RECENT:]]
     return _or_none(sum(successes) / len(successes)) if successes else None
 
 

@@ -101,9 +101,7 @@ class Learner:
         torch.set_rng_state(state["random"])
 
 
-def make_agent(
-    settings: Settings, observation_dim: int, action_dim: int
-) -> CuriousActorCritic:
+def make_agent(settings: Settings, observation_dim: int, action_dim: int) -> CuriousActorCritic:
     """Agent of a run."""
     return CuriousActorCritic(
         observation_dim,

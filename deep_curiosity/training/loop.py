@@ -50,7 +50,7 @@ def train(settings: Settings, *, show_progress: bool = True) -> dict[str, Any]:
             learner.store(step)
             history.saw(collector.info)
             if episode is not None:
-                history.episodes.append(tuple(episode))
+                history.episodes.append(episode)
                 run.records.scalars(
                     history.step,
                     {"episode/return": episode.episode_return, "episode/length": episode.length},

@@ -15,8 +15,13 @@ from torch import Tensor
 
 from deep_curiosity.training.checkpoint import load_checkpoint, save_checkpoint
 from deep_curiosity.training.collection import Collector, evaluate
-from deep_curiosity.training.environments import make_environment, num_cells
-from deep_curiosity.training.history import NUM_RECENT, History, mean_return, success_rate
+from deep_curiosity.training.environments import (
+    action_dim,
+    make_environment,
+    num_cells,
+    observation_dim,
+)
+from deep_curiosity.training.history import History, mean_return, success_rate
 from deep_curiosity.training.learner import Learner
 from deep_curiosity.training.records import (
     CONFIG,
@@ -59,7 +64,7 @@ class Run:
             episodes=self.settings.evaluation_episodes,
             seed=EVALUATION_SEED,
         )
-        self.history.evaluations.extend(tuple(episode) for episode in episodes)
+        self.history.evaluations.extend(episodes)
         self.records.scalars(
             self.history.step,
             {
@@ -130,9 +135,7 @@ def open_run(settings: Settings) -> Iterator[Run]:
     torch.manual_seed(settings.seed)
     environment = make_environment(settings.env_id, settings.env_kwargs)
     evaluation_environment = make_environment(settings.env_id, settings.env_kwargs)
-    learner = Learner(
-        settings, environment.observation_space.shape[0], environment.action_space.shape[0]
-    )
+    learner = Learner(settings, observation_dim(environment), action_dim(environment))
     collector = Collector(environment, settings.seed)
     if resuming:
         history = _restore(settings.out, learner, collector)

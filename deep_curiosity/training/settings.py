@@ -28,7 +28,7 @@ class Settings:
     bonus_weight: float = 0.1
     """Factor of the standardised bonus."""
     curiosity_discount: float = 0.99
-    """Discount of the bonus per step; 0 differentiates the bonus itself, as the paper writes it."""
+    """Discount of the bonus per step; 0 climbs the bonus itself, as the paper writes it."""
     hunger: float = 1.0
     """Weight of the extrinsic value, alpha."""
     prior: Literal["uniform", "learned"] = "uniform"
@@ -89,7 +89,11 @@ class Settings:
         """
         for setting in fields(self):
             value = getattr(self, setting.name)
-            if setting.type is int and setting.name not in ("seed", "learning_starts") and value < 1:
+            if (
+                setting.type is int
+                and setting.name not in ("seed", "learning_starts")
+                and value < 1
+            ):
                 raise ValueError(f"`{setting.name}` must be at least 1, got {value}.")
             if setting.type is float and not math.isfinite(value):
                 raise ValueError(f"`{setting.name}` must be finite, got {value}.")

@@ -109,6 +109,10 @@ class PointMaze(MujocoTask):
         render_mode: `"rgb_array"` or None.
     """
 
+    metadata: dict[str, Any] = {  # noqa: RUF012 (Gymnasium declares it on the instance)
+        **MujocoTask.metadata,
+        "picture_features": (0, 1),
+    }
     _cell_index: ClassVar[dict[Cell, int]] = reachable_cells(find_cell("S"))
     num_cells: ClassVar[int] = len(_cell_index)
 
