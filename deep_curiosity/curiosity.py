@@ -17,9 +17,7 @@ from deep_curiosity.networks import frozen
 from deep_curiosity.normalization import RunningMoments
 from deep_curiosity.transitions import Transition, check_batch, check_transition
 
-STATISTICS_MEMORY = (
-    50_000  # rows over which the bonus is standardised: D drifts as the model learns
-)
+STATISTICS_MEMORY = 50_000.0  # rows; D drifts as the model learns, so old ones fade
 NUM_PROBES = 64  # pairs kept from the last refresh, on which the metrics are computed
 NUM_SAMPLES = 16  # draws from each member's prediction when the bonus is taken apart
 

@@ -62,7 +62,7 @@ class NextStateMarginal(nn.Module):
                 "`bandwidth` must be 'silverman', 'perplexity' or a positive number, "
                 f"got {bandwidth!r}."
             )
-        if not 1 < target_perplexity < components:
+        if bandwidth == "perplexity" and not 1 < target_perplexity < components:
             raise ValueError(
                 f"`target_perplexity` must lie between 1 and `components` ({components}), "
                 f"got {target_perplexity}."

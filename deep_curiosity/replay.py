@@ -1,17 +1,19 @@
 """Replay: one preallocated tensor, its rows views of raw transitions."""
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
 from jaxtyping import Float
-from numpy.typing import ArrayLike
 from torch import Tensor
 
 from deep_curiosity.transitions import Transition
 
 if TYPE_CHECKING:
     from torchrl.data import ReplayBuffer as TorchRLReplayBuffer
+
+Vector = np.ndarray | Sequence[float] | float
 
 
 class ReplayBuffer:
@@ -62,10 +64,10 @@ class ReplayBuffer:
 
     def add(
         self,
-        observation: ArrayLike,
-        action: ArrayLike,
+        observation: Vector,
+        action: Vector,
         reward: float,
-        next_observation: ArrayLike,
+        next_observation: Vector,
         terminated: bool,
         truncated: bool,
     ) -> None:
@@ -205,7 +207,7 @@ class ReplayBuffer:
         )
 
 
-def _finite_vector(name: str, value: ArrayLike, dim: int) -> np.ndarray:
+def _finite_vector(name: str, value: Vector, dim: int) -> np.ndarray:
     vector = np.asarray(value, dtype=np.float32).reshape(-1)
     if vector.shape != (dim,):
         raise ValueError(f"`{name}` must have {dim} entries, got {vector.shape[0]}.")

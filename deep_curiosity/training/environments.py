@@ -30,9 +30,15 @@ def make_environment(
         ImportError: If a dm_control id is asked for without its extra.
     """
     env_id = _registered_id(env_id)
-    environment = gymnasium.make(
-        env_id, disable_env_checker=True, render_mode=render_mode, **(env_kwargs or {})
-    )
+    env_kwargs = dict(env_kwargs or {})
+    try:
+        environment = gymnasium.make(
+            env_id, disable_env_checker=True, render_mode=render_mode, **env_kwargs
+        )
+    except TypeError as error:
+        raise ValueError(
+            f"`env_kwargs` must be arguments of {env_id}, got {env_kwargs}: {error}"
+        ) from error
     if env_id.startswith("dm_control/"):
         environment = gymnasium.wrappers.FlattenObservation(environment)
     check_spaces(environment.observation_space, environment.action_space)

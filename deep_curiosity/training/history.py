@@ -80,7 +80,7 @@ def mean_return(episodes: Sequence[Episode], num_recent: int = NUM_RECENT) -> fl
 
 
 def success_rate(episodes: Sequence[Episode]) -> float | None:
-    """Share of successes among the newest episodes, `None` where the task defines none."""
+    """Share of successes among the 10 newest episodes, `None` where the task defines none."""
     successes = [episode.success for episode in episodes[-NUM_RECENT:]]
     return _or_none(sum(successes) / len(successes)) if successes else None
 

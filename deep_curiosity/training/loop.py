@@ -85,7 +85,7 @@ def _postfix(values: dict[str, float]) -> str:
     """What the progress bar says beside the count."""
     shown = {
         "return": values["episode/return_mean"],
-        "eval": values["eval/return_mean"],
+        "eval": values["eval/return"],
         "nats": values.get("curiosity/nats"),
         "steps/s": values["time/steps_per_second"],
     }

@@ -54,8 +54,8 @@ def _draw_returns(
         returns, lengths, _ = zip(*episodes, strict=True)
         axes.plot(np.cumsum(lengths), returns, ".", alpha=0.4, label="training episode")
     if columns:
-        evaluation = columns["eval/return_mean"]
-        axes.plot(columns["step"], evaluation, "-", color="black", label="evaluation, mean of 10")
+        evaluation = columns["eval/return"]
+        axes.plot(columns["step"], evaluation, "-", color="black", label="evaluation")
     if episodes or columns:
         axes.legend(fontsize=8)
 

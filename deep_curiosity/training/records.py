@@ -74,8 +74,7 @@ class Records:
             self._writer.add_scalar(tag, value, step)
 
     def row(self, step: int, values: Mapping[str, float]) -> None:
-        """Write to TensorBoard and append a row to progress.csv."""
-        self.scalars(step, values)
+        """Append a row to progress.csv; the first one names the columns."""
         if not self._columns:
             self._columns = ["step", *values]
             self._write_all()

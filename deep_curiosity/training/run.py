@@ -65,21 +65,14 @@ class Run:
             seed=EVALUATION_SEED,
         )
         self.history.evaluations.extend(episodes)
-        self.records.scalars(
-            self.history.step,
-            {
-                "eval/return": _number(mean_return(episodes, num_recent=len(episodes))),
-                "eval/success_rate": _number(success_rate(episodes)),
-            },
-        )
+        self.records.scalars(self.history.step, self._latest_evaluation())
 
     def progress(self, metrics: dict[str, Tensor]) -> dict[str, float]:
-        """Write a row of everything there is to tell, and return it."""
+        """Write down everything there is to tell at this step, and return it."""
         history = self.history
         values = {
             "episode/return_mean": _number(mean_return(history.episodes)),
             "episode/success_rate": _number(success_rate(history.episodes)),
-            "eval/return_mean": _number(mean_return(history.evaluations)),
             "time/steps_per_second": history.steps_per_second,
         }
         total_cells = num_cells(self.environment)
@@ -87,8 +80,17 @@ class Run:
             values["episode/coverage"] = _number(history.coverage(total_cells))
         values |= {tag: value.item() for tag, value in metrics.items()}
         values |= {tag: value.item() for tag, value in self.learner.diagnostics().items()}
+        self.records.scalars(history.step, values)
+        values |= self._latest_evaluation()
         self.records.row(history.step, values)
         return values
+
+    def _latest_evaluation(self) -> dict[str, float]:
+        episodes = self.history.evaluations[-self.settings.evaluation_episodes :]
+        return {
+            "eval/return": _number(mean_return(episodes, num_recent=len(episodes))),
+            "eval/success_rate": _number(success_rate(episodes)),
+        }
 
     def save(self) -> None:
         """Write a checkpoint of all there is."""

@@ -1,0 +1,256 @@
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from deep_curiosity.training import loop, train
+from deep_curiosity.training.checkpoint import NEWEST, load_checkpoint
+from deep_curiosity.training.collection import Collector
+from deep_curiosity.training.learner import Learner
+
+SUMMARY_KEYS = {
+    "env_id",
+    "seed",
+    "total_steps",
+    "evaluation_return",
+    "training_return",
+    "success_rate",
+    "first_success_step",
+    "coverage",
+    "steps_per_second",
+    "wall_seconds",
+}
+TIMED = ("time/steps_per_second",)
+
+
+def flat(state, prefix=""):
+    """Every leaf of a nested checkpoint by its path."""
+    if isinstance(state, dict):
+        items = state.items()
+    elif isinstance(state, list | tuple):
+        items = enumerate(state)
+    else:
+        return {prefix: state}
+    return {
+        key: leaf for name, value in items for key, leaf in flat(value, f"{prefix}/{name}").items()
+    }
+
+
+def assert_same_state(first, second):
+    first, second = flat(first), flat(second)
+    assert first.keys() == second.keys()
+    for key, leaf in first.items():
+        if "seconds" in key:
+            continue
+        if isinstance(leaf, torch.Tensor):
+            assert torch.equal(leaf, second[key]) or (
+                leaf.isnan().any() and torch.equal(leaf.nan_to_num(), second[key].nan_to_num())
+            ), key
+        else:
+            np.testing.assert_equal(leaf, second[key], err_msg=key)
+
+
+def rows(folder):
+    with (folder / "progress.csv").open() as file:
+        return [
+            {name: value for name, value in row.items() if name not in TIMED}
+            for row in csv.DictReader(file)
+        ]
+
+
+@pytest.mark.parametrize("bonus", ["curiosity", "none"])
+def test_a_resumed_run_equals_an_uninterrupted_one_bit_for_bit(tiny, tmp_path, bonus):
+    whole = replace(tiny, bonus=bonus, prior="learned", total_steps=90, out=tmp_path / "whole")
+    halves = replace(whole, total_steps=45, out=tmp_path / "halves")
+    train(whole, show_progress=False)
+    train(halves, show_progress=False)
+    train(replace(whole, resume=halves.out), show_progress=False)
+    assert_same_state(
+        load_checkpoint(whole.out)["learner"], load_checkpoint(halves.out)["learner"]
+    )
+    assert_same_state(
+        load_checkpoint(whole.out)["collector"], load_checkpoint(halves.out)["collector"]
+    )
+    assert rows(whole.out)[-1] == rows(halves.out)[-1] != rows(whole.out)[-2]
+
+
+def test_another_seed_gives_another_run(tiny, tmp_path):
+    train(tiny, show_progress=False)
+    train(replace(tiny, seed=1, out=tmp_path / "other"), show_progress=False)
+    assert rows(tiny.out)[-1] != rows(tmp_path / "other")[-1]
+
+
+def test_a_run_leaves_its_records(tiny):
+    summary = train(tiny, show_progress=False)
+    assert summary.keys() >= SUMMARY_KEYS
+    assert json.loads((tiny.out / "summary.json").read_text()) == summary
+    assert json.loads((tiny.out / "config.json").read_text())["batch_size"] == 32
+    assert [int(row["step"]) for row in rows(tiny.out)] == [40, 60]
+    assert (tiny.out / "run.png").stat().st_size > 10_000
+    events = EventAccumulator(str(tiny.out)).Reload()
+    tags = set(events.Tags()["scalars"])
+    assert tags >= {"eval/return", "curiosity/nats", "agent/critic_loss", "agent/information_rate"}
+
+
+def test_coverage_is_told_where_the_task_has_cells(tiny, tmp_path):
+    maze = replace(tiny, env_id="PointMaze", out=tmp_path / "maze")
+    assert 0 < train(maze, show_progress=False)["coverage"] < 1
+    assert train(tiny, show_progress=False)["coverage"] is None
+
+
+def test_a_folder_that_holds_a_run_is_left_alone(tiny):
+    train(tiny, show_progress=False)
+    before = (tiny.out / "config.json").read_text()
+    with pytest.raises(FileExistsError, match=r"`out` must not hold a run already.*--resume"):
+        train(replace(tiny, seed=5), show_progress=False)
+    assert (tiny.out / "config.json").read_text() == before
+
+
+def test_a_resumed_run_keeps_its_own_settings(tiny):
+    train(tiny, show_progress=False)
+    with pytest.raises(ValueError, match=r"`batch_size` must stay.*32, got 64"):
+        train(replace(tiny, resume=tiny.out, batch_size=64), show_progress=False)
+
+
+def test_a_truncated_checkpoint_is_reported_and_the_one_before_it_used(tiny):
+    train(tiny, show_progress=False)
+    newest = tiny.out / NEWEST
+    newest.write_bytes(newest.read_bytes()[:1000])
+    with pytest.warns(UserWarning, match=r"checkpoint.pt is damaged.*previous"):
+        summary = train(replace(tiny, resume=tiny.out, total_steps=70), show_progress=False)
+    assert summary["total_steps"] == 70
+
+
+def test_an_environment_that_raises_leaves_checkpoint_and_records(tiny, monkeypatch):
+    step = Collector.step
+
+    def failing(self, action):
+        if self.seed == tiny.seed and len(self.actions) == 55:
+            raise RuntimeError("the simulator broke")
+        return step(self, action)
+
+    monkeypatch.setattr(Collector, "step", failing)
+    with pytest.raises(RuntimeError, match="the simulator broke"):
+        train(tiny, show_progress=False)
+    monkeypatch.undo()
+    assert load_checkpoint(tiny.out)["history"]["step"] == 50
+    assert [int(row["step"]) for row in rows(tiny.out)] == [40]
+    assert train(replace(tiny, resume=tiny.out), show_progress=False)["total_steps"] == 60
+
+
+def test_a_nan_from_the_environment_stops_the_run_by_name(tiny, monkeypatch):
+    step = Collector.step
+
+    def broken(self, action):
+        taken, episode = step(self, action)
+        return taken._replace(reward=float("nan")), episode
+
+    monkeypatch.setattr(Collector, "step", broken)
+    with pytest.raises(ValueError, match="`reward` must be finite, got \\[nan\\]"):
+        train(tiny, show_progress=False)
+
+
+def test_ctrl_c_ends_after_the_step_with_a_checkpoint(tiny, monkeypatch, capsys):
+    update = Learner.update
+
+    def interrupting(self):
+        if len(self.replay) == 33:
+            os.kill(os.getpid(), signal.SIGINT)
+        return update(self)
+
+    monkeypatch.setattr(Learner, "update", interrupting)
+    summary = train(tiny, show_progress=False)
+    assert summary["total_steps"] == 33
+    assert load_checkpoint(tiny.out)["history"]["step"] == 33
+    assert f"--resume {tiny.out}" in capsys.readouterr().out
+    monkeypatch.undo()
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"bonus": "none"},
+        {"bonus": "constant"},
+        {"prior": "learned"},
+        {"curiosity_discount": 0.0},
+        {"bandwidth": "perplexity"},
+        {"bandwidth": 0.3},
+        {"noise_floor": 0.3},
+        {"hunger": 0.0},
+        {"bonus_weight": 1.0},
+        {"temperature": 1.0},
+        {"tune_temperature": False},
+        {"target_information_rate": 3.0},
+        {"discount": 0.5},
+        {"polyak": 0.5},
+        {"learning_rate": 1e-2},
+        {"model_learning_rate": 1e-2},
+        {"members": 3},
+        {"components": 8},
+        {"refresh_interval": 1},
+        {"batch_size": 16},
+        {"hidden_dim": 8},
+    ],
+    ids=str,
+)
+def test_every_setting_of_learning_changes_what_is_learned(tiny, tmp_path, change):
+    train(tiny, show_progress=False)
+    train(replace(tiny, **change, out=tmp_path / "changed"), show_progress=False)
+    states = [
+        load_checkpoint(folder)["learner"]["agent"] for folder in (tiny.out, tmp_path / "changed")
+    ]
+    weights = [state["policy.network.layers.0.weight"] for state in states]
+    assert weights[0].shape != weights[1].shape or not torch.equal(*weights)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"total_steps": 0}, "`total_steps` must be at least 1, got 0"),
+        ({"seed": -1}, "`seed` must not be negative, got -1"),
+        ({"hunger": float("nan")}, "`hunger` must be finite, got nan"),
+        ({"members": 1}, "`members` must be at least 2"),
+        ({"noise_floor": 0.0}, "`noise_floor` must be positive"),
+        ({"temperature": -1.0}, "`temperature` must be finite and positive"),
+        ({"env_id": "PendulumSwingdown"}, "`env_id` must be a registered id such as .*Swingup"),
+        ({"env_id": "CartPole-v1", "env_kwargs": {}}, "`action_space` must be a Box"),
+        ({"env_kwargs": {"acton_cost": 1.0}}, "`env_kwargs` must be arguments of .*acton_cost"),
+    ],
+    ids=str,
+)
+def test_a_bad_setting_is_named_before_a_folder_is_made(tiny, change, message):
+    with pytest.raises(ValueError, match=message):
+        train(replace(tiny, **change), show_progress=False)
+    assert not tiny.out.exists()
+
+
+def test_the_progress_bar_tells_return_nats_and_speed(tiny, capsys):
+    train(tiny)
+    shown = capsys.readouterr().err
+    for name in ("return=", "nats=", "steps/s="):
+        assert name in shown
+
+
+def test_importing_the_library_leaves_torch_and_logging_alone():
+    code = (
+        "import logging, torch; before = torch.get_float32_matmul_precision(), "
+        "torch.get_default_dtype(), logging.root.level, logging.root.handlers[:]; "
+        "import deep_curiosity, deep_curiosity.agent, deep_curiosity.curiosity, sys; "
+        "assert before == (torch.get_float32_matmul_precision(), torch.get_default_dtype(), "
+        "logging.root.level, logging.root.handlers[:]); "
+        "assert not {'gymnasium', 'mujoco', 'torchrl', 'stable_baselines3'} & set(sys.modules)"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_the_loop_is_what_the_package_exports():
+    assert train is loop.train
