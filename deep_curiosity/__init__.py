@@ -1,3 +1,11 @@
-"""Predictive-information curiosity for continuous control."""
+"""Predictive-information curiosity for continuous control, after Still & Precup (2012)."""
+
+from deep_curiosity.agent import CuriousActorCritic
+from deep_curiosity.bonus import Bonus
+from deep_curiosity.curiosity import CuriosityBonus
+from deep_curiosity.replay import ReplayBuffer
+from deep_curiosity.transitions import Transition
 
 __version__ = "0.1.0"
+
+__all__ = ["Bonus", "CuriosityBonus", "CuriousActorCritic", "ReplayBuffer", "Transition"]

@@ -14,7 +14,9 @@ def main() -> None:
         summary = train(settings)
     except (FileExistsError, FileNotFoundError, ImportError, ValueError) as error:
         sys.exit(f"error: {error}")
-    print(f"evaluation return {summary['evaluation_return']}, records in {settings.out}")
+    print(
+        f"evaluation return {summary['evaluation_return']}, records in {settings.resume or settings.out}"
+    )
 
 
 if __name__ == "__main__":

@@ -1,6 +1,7 @@
 """Environments the agent can live in: found by id, checked at the door, brought to one form."""
 
 import difflib
+import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -40,7 +41,7 @@ def make_environment(
             f"`env_kwargs` must be arguments of {env_id}, got {env_kwargs}: {error}"
         ) from error
     if env_id.startswith("dm_control/"):
-        environment = gymnasium.wrappers.FlattenObservation(environment)
+        environment = _flattened(environment)
     check_spaces(environment.observation_space, environment.action_space)
     if env_id in GOAL_ENDS_EPISODE:
         environment = _TerminationIsSuccess(environment)
@@ -106,6 +107,14 @@ def _registered_id(env_id: str) -> str:
         f"`env_id` must be a registered id such as {', '.join(nearest or known[-3:])}; "
         f"got {env_id!r}. Tasks of this package: {', '.join(deep_curiosity_envs.TASK_IDS)}."
     )
+
+
+def _flattened(environment: gymnasium.Env) -> gymnasium.Env:
+    with (
+        warnings.catch_warnings()
+    ):  # the infinite bounds of an observation overflow as they narrow
+        warnings.simplefilter("ignore", RuntimeWarning)
+        return gymnasium.wrappers.FlattenObservation(environment)
 
 
 def _require_shimmy() -> None:

@@ -29,7 +29,7 @@ MAZE = (
     "#..................#",
     "#..................#",
     "#..................#",
-    "#.................G#",
+    "#G.................#",
     "####################",
 )
 CELL_SIZE = 0.1  # m; the point, 6 cm wide, fits through every gap
@@ -96,9 +96,9 @@ def maze_model() -> mujoco.MjModel:
 class PointMaze(MujocoTask):
     """Push a point through an S of three corridors, from one corner to the opposite one.
 
-    The point starts at rest in the top left corner. Reaching the goal, in the bottom right
-    corner, pays one and ends the episode; nothing else pays. At full force the way takes under
-    half of an episode, and random pushes do not get there. Every `info` holds `cell`, the index
+    The point starts at rest in the top left corner. Reaching the goal, in the bottom left corner
+    behind both walls, pays one and ends the episode; nothing else pays. At full force the way
+    takes a third of an episode, and random pushes do not get there. Every `info` holds `cell`, the index
     in `range(num_cells)` of the cell the point is in, numbered by distance from the start.
 
     Observation: position in half arenas (1 m) to the right and up, and velocity in m/s.

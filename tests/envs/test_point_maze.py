@@ -13,7 +13,7 @@ from deep_curiosity_envs.point_maze import (
 )
 
 EPISODE_STEPS = 300
-CORNERS = [(3, 16), (8, 16), (10, 3), (15, 3), find_cell("G")]  # the turns of the way
+CORNERS = [(3, 16), (8, 16), (10, 3), find_cell("G")]  # the turns of the way
 
 
 @pytest.fixture
@@ -92,7 +92,7 @@ def test_waypoints_reach_the_goal_in_half_an_episode(env):
 def test_walking_visits_cells_farther_and_farther_from_the_start(env):
     cells = [info["cell"] for *_, info in walk_to_goal(env)]
     assert len(set(cells)) > 40
-    assert max(cells) > 0.95 * env.num_cells
+    assert max(cells) > 0.6 * env.num_cells
 
 
 def test_goal_may_pay_on_without_ending_the_episode():
@@ -109,7 +109,7 @@ def test_success_is_remembered_after_leaving_the_goal():
     env.reset(seed=0)
     env.data.qpos[:] = cell_centre(find_cell("G"))
     env.step((0, 0))
-    *_, (_, reward, _, _, info) = drive_to(env, cell_centre((18, 3)))
+    *_, (_, reward, _, _, info) = drive_to(env, cell_centre((18, 12)))
     assert (reward, info["is_success"]) == (0.0, True)
     assert env.reset()[1]["is_success"] is False
 

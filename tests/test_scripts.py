@@ -1,0 +1,68 @@
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+TINY = (
+    "--total-steps 60 --learning-starts 20 --hidden-dim 16 --batch-size 32 --components 16 "
+    "--members 2 --log-interval 20 --evaluation-episodes 1"
+).split()
+
+
+def run(script, *arguments, **environment):
+    return subprocess.run(
+        [sys.executable, ROOT / "scripts" / script, *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        env={"PATH": "", "OMP_NUM_THREADS": "1", **environment},
+    )
+
+
+def test_train_resume_and_evaluate(tmp_path):
+    out = tmp_path / "run"
+    trained = run("train.py", "--env-id", "PointMaze", *TINY, "--out", out)
+    assert trained.returncode == 0, trained.stderr
+    assert "nats=" in trained.stderr
+    resumed = run("train.py", "--resume", out, "--total-steps", 80)
+    assert resumed.returncode == 0, resumed.stderr
+    assert json.loads((out / "summary.json").read_text())["total_steps"] == 80
+    evaluated = run("evaluate.py", out, "--episodes", 2)
+    assert "deep_curiosity/PointMaze-v0" in evaluated.stdout or "return" in evaluated.stdout
+
+
+def test_a_video_is_written_where_something_renders(tmp_path):
+    out, video = tmp_path / "run", tmp_path / "video.gif"
+    assert run("train.py", "--env-id", "PointMaze", *TINY, "--out", out).returncode == 0
+    played = run("evaluate.py", out, "--episodes", 1, "--video", video, MUJOCO_GL="egl")
+    if played.returncode:
+        assert "error: MuJoCo could not start OpenGL" in played.stderr
+        pytest.skip("nothing renders here")
+    assert video.stat().st_size > 1_000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--env-id", "CartPole-v1"], "error: `action_space` must be a Box"),
+        (["--env-id", "NoSuchTask-v0"], "error: `env_id` must be a registered id"),
+        (["--members", "1"], "error: `members` must be at least 2"),
+        (["--resume", "no/such/folder"], "error: a run must have a config.json"),
+        (["--bonus", "noise"], "curiosity"),
+    ],
+    ids=str,
+)
+def test_a_mistake_on_the_command_line_is_answered_in_one_line(tmp_path, arguments, message):
+    failed = run("train.py", *arguments, "--out", tmp_path / "run")
+    assert failed.returncode != 0
+    assert message in failed.stderr + failed.stdout
+    assert "Traceback" not in failed.stderr
+
+
+@pytest.mark.parametrize("script", ["train.py", "evaluate.py", "study.py"])
+def test_help_says_what_every_option_is(script):
+    shown = run(script, "--help")
+    assert shown.returncode == 0
+    assert "Folder" in shown.stdout

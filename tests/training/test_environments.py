@@ -1,0 +1,89 @@
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium import spaces
+
+import deep_curiosity_envs
+from deep_curiosity.training.environments import (
+    check_spaces,
+    make_environment,
+    num_cells,
+    picture_features,
+)
+
+VECTOR = spaces.Box(-1.0, 1.0, (3,))
+
+
+@pytest.mark.parametrize("env_id", [*deep_curiosity_envs.TASK_IDS, "MountainCarContinuous-v0"])
+def test_actions_lie_in_the_unit_box(env_id):
+    environment = make_environment(env_id)
+    assert environment.action_space.low.tolist() == [-1.0] * environment.action_space.shape[0]
+    assert environment.action_space.high.tolist() == [1.0] * environment.action_space.shape[0]
+    environment.close()
+
+
+def test_gymnasium_mujoco_tasks_are_rescaled():
+    environment = make_environment("InvertedPendulum-v5")  # its own actions lie in [-3, 3]
+    environment.reset(seed=0)
+    environment.step(np.array([0.5], np.float32))
+    assert environment.unwrapped.data.ctrl.item() == pytest.approx(1.5)
+    environment.close()
+
+
+def test_short_names_are_ours():
+    environment = make_environment("PointMaze", {"action_cost": 0.5})
+    assert environment.unwrapped.action_cost == 0.5
+    assert num_cells(environment) == environment.unwrapped.num_cells
+    assert picture_features("PointMaze", {}) == (0, 1)
+    assert picture_features("PendulumSwingup", {}) == (0, 2)
+
+
+def test_reaching_the_goal_of_mountain_car_is_success():
+    environment = make_environment("MountainCarContinuous-v0")
+    environment.reset(seed=0)
+    assert environment.step(np.zeros(1, np.float32))[4]["is_success"] is False
+    environment.unwrapped.state = np.array([0.449, 0.07])
+    assert environment.step(np.ones(1, np.float32))[4]["is_success"] is True
+
+
+def test_dm_control_dictionaries_become_vectors():
+    pytest.importorskip("shimmy")
+    pytest.importorskip("dm_control")
+    environment = make_environment("dm_control/pendulum-swingup-v0")
+    observation, _ = environment.reset(seed=3)
+    again, _ = environment.reset(seed=3)
+    assert observation.shape == (3,)
+    assert np.array_equal(observation, again)
+
+
+@pytest.mark.parametrize(
+    ("observation_space", "action_space", "message"),
+    [
+        (VECTOR, spaces.Discrete(2), r"`action_space` must be a Box.*Discrete\(2\)"),
+        (VECTOR, spaces.Box(-np.inf, np.inf, (1,)), "`action_space` must be bounded"),
+        (VECTOR, spaces.Box(0.0, np.inf, (1,)), "`action_space` must be bounded"),
+        (spaces.Dict(a=VECTOR), VECTOR, "`observation_space` must be a Box.*FlattenObservation"),
+        (spaces.Box(0, 255, (8, 8, 3), np.uint8), VECTOR, "`observation_space` must be a Box"),
+        (spaces.Discrete(4), VECTOR, r"`observation_space` must be a Box.*Discrete\(4\)"),
+    ],
+    ids=str,
+)
+def test_spaces_that_the_agent_cannot_take_are_named(observation_space, action_space, message):
+    with pytest.raises(ValueError, match=message):
+        check_spaces(observation_space, action_space)
+
+
+def test_an_unknown_id_is_answered_with_the_nearest_and_our_own():
+    with pytest.raises(ValueError, match=r"got 'HalfCheeta-v5'.*PendulumSwingup") as caught:
+        make_environment("HalfCheeta-v5")
+    assert "HalfCheetah-v5" in str(caught.value)
+
+
+def test_unknown_arguments_of_an_environment_are_named():
+    with pytest.raises(ValueError, match=r"`env_kwargs` must be arguments of .*'wind'"):
+        make_environment("PointMaze", {"wind": 1.0})
+
+
+def test_nothing_is_registered_twice():
+    assert len(set(deep_curiosity_envs.TASK_IDS)) == 4
+    assert set(deep_curiosity_envs.TASK_IDS) <= set(gymnasium.registry)

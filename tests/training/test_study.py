@@ -1,0 +1,38 @@
+import csv
+from dataclasses import replace
+
+import pytest
+
+from deep_curiosity.training import study
+from deep_curiosity.training.study import Task, run_study, summarize
+
+
+def test_a_study_leaves_table_curves_and_picture_and_repeats_no_run(tiny, tmp_path, monkeypatch):
+    task = Task("pendulum", replace(tiny, total_steps=40, evaluation_interval=20), -100.0)
+    agents = {"curiosity": {}, "none": {"bonus": "none"}}
+    out = tmp_path / "docs" / "sparse"
+    arguments = {"seeds": (0, 1), "runs": tmp_path / "runs", "out": out, "workers": 1}
+    rows = run_study([task], agents, **arguments)
+    assert [(row["agent"], row["seed"], row["solved"]) for row in rows] == [
+        ("curiosity", 0, 1),
+        ("none", 0, 1),
+        ("curiosity", 1, 1),
+        ("none", 1, 1),
+    ]
+    with out.with_suffix(".csv").open() as file:
+        table = list(csv.DictReader(file))
+    assert float(table[3]["evaluation_return"]) == pytest.approx(
+        rows[3]["evaluation_return"], 1e-4
+    )
+    assert out.with_suffix(".png").stat().st_size > 5_000
+    assert len((out.parent / "sparse_curves.csv").read_text().splitlines()) == 1 + 4 * 2
+    assert "curiosity          solved 2/2" in summarize(rows)
+
+    monkeypatch.setattr(study, "train", None)
+    assert run_study([task], agents, **arguments) == rows
+
+
+def test_a_run_counts_as_solved_from_the_return_named(tiny, tmp_path):
+    task = Task("pendulum", replace(tiny, total_steps=40), 1.0)
+    arguments = {"seeds": (0,), "runs": tmp_path / "runs", "out": tmp_path / "out", "workers": 1}
+    assert run_study([task], {"none": {"bonus": "none"}}, **arguments)[0]["solved"] == 0
