@@ -14,9 +14,8 @@ def main() -> None:
         summary = train(settings)
     except (FileExistsError, FileNotFoundError, ImportError, ValueError) as error:
         sys.exit(f"error: {error}")
-    print(
-        f"evaluation return {summary['evaluation_return']}, records in {settings.resume or settings.out}"
-    )
+    folder = settings.resume or settings.out
+    print(f"evaluation return {summary['evaluation_return']}, records in {folder}")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,6 @@
 """Environments the agent can live in: found by id, checked at the door, brought to one form."""
 
 import difflib
-import warnings
 from collections.abc import Mapping
 from typing import Any
 
@@ -41,11 +40,12 @@ def make_environment(
             f"`env_kwargs` must be arguments of {env_id}, got {env_kwargs}: {error}"
         ) from error
     if env_id.startswith("dm_control/"):
-        environment = _flattened(environment)
+        environment = gymnasium.wrappers.FlattenObservation(environment)
     check_spaces(environment.observation_space, environment.action_space)
     if env_id in GOAL_ENDS_EPISODE:
         environment = _TerminationIsSuccess(environment)
-    return gymnasium.wrappers.RescaleAction(environment, np.float32(-1.0), np.float32(1.0))
+    low, high = np.array([-1.0, 1.0], environment.action_space.dtype)
+    return gymnasium.wrappers.RescaleAction(environment, low, high)
 
 
 def check_spaces(observation_space: spaces.Space, action_space: spaces.Space) -> None:
@@ -107,14 +107,6 @@ def _registered_id(env_id: str) -> str:
         f"`env_id` must be a registered id such as {', '.join(nearest or known[-3:])}; "
         f"got {env_id!r}. Tasks of this package: {', '.join(deep_curiosity_envs.TASK_IDS)}."
     )
-
-
-def _flattened(environment: gymnasium.Env) -> gymnasium.Env:
-    with (
-        warnings.catch_warnings()
-    ):  # the infinite bounds of an observation overflow as they narrow
-        warnings.simplefilter("ignore", RuntimeWarning)
-        return gymnasium.wrappers.FlattenObservation(environment)
 
 
 def _require_shimmy() -> None:

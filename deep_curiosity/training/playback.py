@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import gymnasium
-import imageio
+import imageio.v2 as imageio
 import numpy as np
 from numpy.typing import NDArray
 
@@ -50,9 +50,7 @@ def record_episode(
 def write_video(path: Path, frames: list[NDArray[np.uint8]], *, fps: int) -> None:
     """Write frames to a file whose suffix names the format, such as .mp4 or .gif."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    with imageio.get_writer(path, fps=fps) as writer:
-        for frame in frames:
-            writer.append_data(frame)
+    imageio.mimwrite(path, list(frames), fps=fps)
 
 
 def _frame(environment: gymnasium.Env) -> NDArray[np.uint8]:

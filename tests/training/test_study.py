@@ -8,7 +8,11 @@ from deep_curiosity.training.study import Task, run_study, summarize
 
 
 def test_a_study_leaves_table_curves_and_picture_and_repeats_no_run(tiny, tmp_path, monkeypatch):
-    task = Task("pendulum", replace(tiny, total_steps=40, evaluation_interval=20), -100.0)
+    task = Task(
+        "pendulum",
+        replace(tiny, total_steps=40, evaluation_interval=20, learning_starts=10),
+        -100.0,
+    )
     agents = {"curiosity": {}, "none": {"bonus": "none"}}
     out = tmp_path / "docs" / "sparse"
     arguments = {"seeds": (0, 1), "runs": tmp_path / "runs", "out": out, "workers": 1}
