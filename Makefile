@@ -17,7 +17,8 @@ setup: .venv/.ready  ## create .venv with the CPU build of torch and this packag
 	@touch $@
 
 train: setup  ## train the curious agent on PendulumSwingup with action cost, under 4 minutes
-	$(BIN)/python scripts/train.py --out $(OUT)
+	$(BIN)/python scripts/train.py --env-id PendulumSwingup --env-kwargs action_cost 0.1 \
+		--total-steps 16000 --hidden-dim 64 --out $(OUT)
 
 test: setup  ## the default tests, under 5 minutes
 	$(BIN)/python -m pytest
@@ -29,6 +30,11 @@ lint: setup  ## ruff and mypy
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+
+figures: setup  ## the studies behind the README, about an hour on 2 cores
+	$(BIN)/python scripts/study.py --study sparse
+	$(BIN)/python scripts/study.py --study mountain_car
+	$(BIN)/python scripts/study.py --study dense
 
 wheel: setup  ## build the wheel into dist/
 	$(BIN)/python -m build --wheel --outdir dist

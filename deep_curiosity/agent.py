@@ -22,7 +22,7 @@ from deep_curiosity.losses import (
 from deep_curiosity.networks import frozen
 from deep_curiosity.transitions import Transition, check_batch
 
-NUM_PRIOR_DRAWS = 64  # for the reported divergence of the prior from uniform
+NUM_PRIOR_DRAWS = 256  # for the reported divergence of the prior from uniform
 RATE_PER_ACTION_DIM = {
     "uniform": 1 + math.log(2),  # nats from uniform: soft actor-critic's target entropy of -1
     "learned": 1.0,
@@ -78,7 +78,7 @@ class CuriousActorCritic(nn.Module):
         hidden_dims: Sequence[int] = (256, 256),
         discount: float = 0.99,
         curiosity: bool = True,
-        curiosity_discount: float = 0.99,
+        curiosity_discount: float = 0.97,
         hunger: float = 1.0,
         prior: Literal["uniform", "learned"] = "uniform",
         temperature: float = 1.0,
@@ -181,6 +181,15 @@ class CuriousActorCritic(nn.Module):
         metrics |= self._update_temperature(information_cost)
         self._move_targets()
         return metrics
+
+    @torch.no_grad()
+    def metrics(self) -> dict[str, Tensor]:
+        """What is too dear to log at every update: how far a learned prior is from uniform, nats."""
+        if isinstance(self.prior, FlatPrior):
+            return {}
+        generator = torch.Generator().manual_seed(0)  # leaves the global stream where it is
+        noise = torch.randn(NUM_PRIOR_DRAWS, self.action_dim, generator=generator)
+        return {"prior_kl_to_uniform": self.prior.kl_to_uniform(noise.to(self.log_temperature))}
 
     def _update_critics(self, transition: Transition, bonus: Bonus | None) -> dict[str, Tensor]:
         value = self.critics(transition.observation, transition.action)  # pairs 2 batch

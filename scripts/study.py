@@ -1,6 +1,6 @@
 """The studies behind the README: curiosity against plain soft actor-critic, seed by seed."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -9,8 +9,57 @@ import tyro
 from deep_curiosity.training import Settings
 from deep_curiosity.training.study import Task, run_study, summarize
 
-SMALL = Settings(hidden_dim=64, learning_rate=1e-3, log_interval=1_000, evaluation_interval=1_000)
-PENDULUM_STEPS = 200  # of an episode; no step pays more than 1, so no return is above this
+
+@dataclass(frozen=True)
+class Study:
+    """Tasks, agents by the settings they change, and how many seeds of each."""
+
+    tasks: list[Task]
+    agents: dict[str, dict[str, Any]]
+    seeds: int
+
+
+SMALL = Settings(total_steps=16_000, hidden_dim=64, log_interval=1_000, evaluation_interval=1_000)
+CURIOSITY = {"curiosity": {}}
+PLAIN = {"plain SAC": {"bonus": "none"}}
+STUDIES = {
+    "sparse": Study(
+        [
+            # 200 steps that pay at most 1 each: no return is above 200, and half of that is asked
+            Task(
+                "PendulumSwingup",
+                replace(SMALL, env_id="PendulumSwingup", env_kwargs={"action_cost": 0.1}),
+                solved_return=100.0,
+            ),
+            # half of the 203 that the tests' scripted walk along the shortest way earns
+            Task("PointMaze", replace(SMALL, env_id="PointMaze"), solved_return=101.5),
+        ],
+        CURIOSITY | PLAIN | {"constant bonus": {"bonus": "constant"}},
+        seeds=5,
+    ),
+    "mountain_car": Study(
+        [
+            Task(
+                "MountainCarContinuous-v0",
+                replace(SMALL, env_id="MountainCarContinuous-v0"),
+                solved_return=90.0,
+            )
+        ],
+        CURIOSITY | PLAIN,
+        seeds=5,
+    ),
+    "dense": Study(
+        [
+            Task(
+                "HalfCheetah-v5",
+                replace(SMALL, env_id="HalfCheetah-v5", hidden_dim=128),
+                solved_return=1_000.0,
+            )
+        ],
+        CURIOSITY | PLAIN | {"curiosity, learned prior": {"prior": "learned"}},
+        seeds=3,
+    ),
+}
 
 
 @dataclass(frozen=True)
@@ -18,9 +67,9 @@ class Args:
     """What to study, and where."""
 
     study: Literal["sparse", "mountain_car", "dense"] = "sparse"
-    """Sparse rewards with action costs; MountainCarContinuous-v0; HalfCheetah-v5."""
-    seeds: int = 5
-    """Seeds of each agent on each task."""
+    """PendulumSwingup and PointMaze; MountainCarContinuous-v0; HalfCheetah-v5."""
+    seeds: int | None = None
+    """Seeds of each agent on each task; by default as many as the study is documented with."""
     runs: Path = Path("runs/study")
     """Folder for the runs; finished ones there are not run again."""
     out: Path = Path("docs/study")
@@ -32,19 +81,16 @@ class Args:
 def main() -> None:
     """Run a study and print its table."""
     args = tyro.cli(Args, description=__doc__)
-    tasks, agents = STUDIES[args.study]
+    study = STUDIES[args.study]
     rows = run_study(
-        tasks,
-        agents,
-        seeds=range(args.seeds),
+        study.tasks,
+        study.agents,
+        seeds=range(study.seeds if args.seeds is None else args.seeds),
         runs=args.runs / args.study,
         out=args.out / args.study,
         workers=args.workers,
     )
     print(summarize(rows))
-
-
-STUDIES: dict[str, tuple[list[Task], dict[str, dict[str, Any]]]] = {}
 
 
 if __name__ == "__main__":

@@ -75,10 +75,11 @@ class Learner:
         return metrics | {f"agent/{name}": value for name, value in agent_metrics.items()}
 
     def diagnostics(self) -> dict[str, Tensor]:
-        """What the bonus says of itself; costs a few milliseconds."""
-        if self.bonus is None:
-            return {}
-        return {f"curiosity/{name}": value for name, value in self.bonus.metrics().items()}
+        """What agent and bonus say of themselves; costs a few milliseconds."""
+        metrics = {f"agent/{name}": value for name, value in self.agent.metrics().items()}
+        if self.bonus is not None:
+            metrics |= {f"curiosity/{name}": value for name, value in self.bonus.metrics().items()}
+        return metrics
 
     def state_dict(self) -> dict[str, Any]:
         """Weights, optimisers, statistics, replay and the state of the random generators."""

@@ -27,13 +27,13 @@ class Settings:
     """Curiosity; the same constant for every step (a control); or plain soft actor-critic."""
     bonus_weight: float = 0.1
     """Factor of the standardised bonus."""
-    curiosity_discount: float = 0.99
+    curiosity_discount: float = 0.97
     """Discount of the bonus per step; 0 climbs the bonus itself, as the paper writes it."""
     hunger: float = 1.0
     """Weight of the extrinsic value, alpha."""
     prior: Literal["uniform", "learned"] = "uniform"
     """Action prior: flat as in soft actor-critic, or the learned action marginal."""
-    temperature: float = 0.1
+    temperature: float = 0.02
     """Price of a nat, lambda; the initial one where it is tuned."""
     tune_temperature: bool = True
     """Adjust the temperature to hold the target information rate."""
@@ -42,9 +42,9 @@ class Settings:
     dimension."""
     discount: float = 0.99
     """Discount of the extrinsic reward per step."""
-    learning_rate: float = 3e-4
+    learning_rate: float = 1e-3
     """Of Adam, for policy, critics, prior and temperature."""
-    polyak: float = 0.005
+    polyak: float = 0.02
     """Share of the critics that moves into the target critics at each update."""
     batch_size: int = 256
     """Transitions in an update."""
@@ -64,7 +64,7 @@ class Settings:
     refresh_interval: int = 10
     """Updates from one refresh of the marginal to the next."""
 
-    learning_starts: int = 1_000
+    learning_starts: int = 500
     """Steps of uniformly random actions before the first update."""
     replay_capacity: int = 1_000_000
     """Transitions kept; memory is taken only as they come."""

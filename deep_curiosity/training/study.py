@@ -2,6 +2,7 @@
 
 import csv
 import json
+import math
 import statistics
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
@@ -33,6 +34,7 @@ RESULT_COLUMNS = (
     "steps_per_second",
     "wall_seconds",
 )
+SUMMARIZED = ("evaluation_return", "mean_training_return", "first_success_step")
 CURVE_COLUMNS = ("task", "agent", "seed", "step", "evaluation_return")
 EVALUATION_TAG = "eval/return"
 
@@ -61,7 +63,7 @@ def run_study(
     out: Path,
     workers: int = 2,
 ) -> list[dict[str, Any]]:
-    """Train every agent on every task with every seed, and write table, curves and picture.
+    """Train every agent on every task with every seed, and write tables, curves and picture.
 
     A run whose folder holds a summary is not run again; one that was cut off is continued.
 
@@ -70,7 +72,8 @@ def run_study(
         agents: Name of each agent to the settings it changes.
         seeds: The same for all, so that agents are paired.
         runs: Folder that receives the folders of the runs.
-        out: Path without suffix of the table (.csv), the curves (_curves.csv) and the picture.
+        out: Path without suffix of the table (.csv), the curves (_curves.csv), the summary (.md)
+            and the picture (.png).
         workers: Processes at a time.
 
     Returns:
@@ -96,23 +99,32 @@ def run_study(
     out.parent.mkdir(parents=True, exist_ok=True)
     write_table(out.with_suffix(".csv"), RESULT_COLUMNS, rows)
     write_table(out.with_name(f"{out.name}_curves.csv"), CURVE_COLUMNS, curves)
+    out.with_suffix(".md").write_text(summarize(rows))
     draw_curves(out.with_suffix(".png"), tasks, list(agents), rows, curves)
     return rows
 
 
 def summarize(rows: Sequence[Mapping[str, Any]]) -> str:
-    """One line for each task and agent: seeds solved, and the median and range of what counts."""
-    lines = []
+    """Markdown table: seeds solved, and median and range over seeds of what counts."""
+    header = ["task", "agent", "seeds solved", *(name.replace("_", " ") for name in SUMMARIZED)]
+    lines = [header, ["---"] * len(header)]
     for task, agent in dict.fromkeys((row["task"], row["agent"]) for row in rows):
         own = [row for row in rows if (row["task"], row["agent"]) == (task, agent)]
-        parts = [f"{task:24} {agent:18} solved {sum(row['solved'] for row in own)}/{len(own)}"]
-        for name in ("evaluation_return", "mean_training_return", "first_success_step"):
-            values = [row[name] for row in own if row[name] is not None]
-            if values:
-                low, middle, high = min(values), statistics.median(values), max(values)
-                parts.append(f"{name} {middle:.4g} [{low:.4g}, {high:.4g}]")
-        lines.append("  ".join(parts))
-    return "\n".join(lines)
+        solved = f"{sum(row['solved'] for row in own)} of {len(own)}"
+        spreads = [median_and_range([row[name] for row in own]) for name in SUMMARIZED]
+        lines.append([task, agent, solved, *spreads])
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+
+
+def median_and_range(values: Sequence[float | int | None]) -> str:
+    """`median [lowest, highest]`; a value that is missing counts as never, above all others."""
+    known = sorted(math.inf if value is None else value for value in values)
+    shown = [_or_never(value) for value in (statistics.median(known), known[0], known[-1])]
+    return "{} [{}, {}]".format(*shown)
+
+
+def _or_never(value: float) -> str:
+    return f"{value:.4g}" if math.isfinite(value) else "never"
 
 
 def write_table(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> None:

@@ -96,8 +96,8 @@ def maze_model() -> mujoco.MjModel:
 class PointMaze(MujocoTask):
     """Push a point through an S of three corridors, from one corner to the opposite one.
 
-    The point starts at rest in the top left corner. Reaching the goal, in the bottom left corner
-    behind both walls, pays one and ends the episode; nothing else pays. At full force the way
+    The point starts at rest in the top left corner. Every step in the goal, in the bottom left
+    corner behind both walls, pays one; nothing else pays. At full force the way
     takes a third of an episode, and random pushes do not get there. Every `info` holds `cell`, the index
     in `range(num_cells)` of the cell the point is in, numbered by distance from the start.
 
@@ -105,7 +105,7 @@ class PointMaze(MujocoTask):
 
     Args:
         action_cost: Reward lost per step at full force on both axes.
-        goal_terminates: Whether the goal ends the episode. If not, every step in it pays.
+        goal_terminates: Whether the goal ends the episode, so that it pays only once.
         render_mode: `"rgb_array"` or None.
     """
 
@@ -119,7 +119,7 @@ class PointMaze(MujocoTask):
     def __init__(
         self,
         action_cost: float = 0.0,
-        goal_terminates: bool = True,
+        goal_terminates: bool = False,
         render_mode: str | None = None,
     ) -> None:
         super().__init__(

@@ -18,7 +18,7 @@ CORNERS = [(3, 16), (8, 16), (10, 3), find_cell("G")]  # the turns of the way
 
 @pytest.fixture
 def env():
-    env = PointMaze()
+    env = PointMaze(goal_terminates=True)
     env.reset(seed=0)
     return env
 
@@ -96,7 +96,7 @@ def test_walking_visits_cells_farther_and_farther_from_the_start(env):
 
 
 def test_goal_may_pay_on_without_ending_the_episode():
-    env = PointMaze(goal_terminates=False)
+    env = PointMaze()
     env.reset(seed=0)
     env.data.qpos[:] = cell_centre(find_cell("G"))
     for _ in range(3):
@@ -104,8 +104,17 @@ def test_goal_may_pay_on_without_ending_the_episode():
         assert (reward, terminated, info["is_success"]) == (1.0, False, True)
 
 
+def test_scripted_walk_earns_twice_what_counts_as_solved_in_the_study():
+    env = PointMaze()
+    env.reset(seed=0)
+    rewards = [reward for _, reward, *_ in walk_to_goal(env)]
+    while len(rewards) < EPISODE_STEPS:
+        rewards.append(env.step((0, 0))[1])
+    assert sum(rewards) == pytest.approx(203, abs=2)
+
+
 def test_success_is_remembered_after_leaving_the_goal():
-    env = PointMaze(goal_terminates=False)
+    env = PointMaze()
     env.reset(seed=0)
     env.data.qpos[:] = cell_centre(find_cell("G"))
     env.step((0, 0))

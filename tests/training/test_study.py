@@ -4,7 +4,7 @@ from dataclasses import replace
 import pytest
 
 from deep_curiosity.training import study
-from deep_curiosity.training.study import Task, run_study, summarize
+from deep_curiosity.training.study import Task, median_and_range, run_study
 
 
 def test_a_study_leaves_table_curves_and_picture_and_repeats_no_run(tiny, tmp_path, monkeypatch):
@@ -30,10 +30,15 @@ def test_a_study_leaves_table_curves_and_picture_and_repeats_no_run(tiny, tmp_pa
     )
     assert out.with_suffix(".png").stat().st_size > 5_000
     assert len((out.parent / "sparse_curves.csv").read_text().splitlines()) == 1 + 4 * 2
-    assert "curiosity          solved 2/2" in summarize(rows)
+    assert "| pendulum | curiosity | 2 of 2 | " in out.with_suffix(".md").read_text()
 
     monkeypatch.setattr(study, "train", None)
     assert run_study([task], agents, **arguments) == rows
+
+
+def test_a_run_without_success_counts_as_later_than_any():
+    assert median_and_range([100, None, 300]) == "300 [100, never]"
+    assert median_and_range([1.0, 2.0]) == "1.5 [1, 2]"
 
 
 def test_a_run_counts_as_solved_from_the_return_named(tiny, tmp_path):
