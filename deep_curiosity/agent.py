@@ -103,6 +103,10 @@ class CuriousActorCritic(nn.Module):
         self.soft_backup = prior == "uniform" if soft_backup is None else soft_backup
         if target_information_rate is None:
             target_information_rate = RATE_PER_ACTION_DIM[prior] * action_dim
+        if not math.isfinite(target_information_rate):
+            raise ValueError(
+                f"`target_information_rate` must be finite, got {target_information_rate}."
+            )
         self.target_information_rate = target_information_rate
         self.polyak = polyak
 
@@ -151,7 +155,8 @@ class CuriousActorCritic(nn.Module):
         self, observation: Float[Tensor, "batch observation_dim"], *, deterministic: bool = False
     ) -> Float[Tensor, "batch action_dim"]:
         """Draw actions in [-1, 1], or take the centre of the policy."""
-        check_batch("observation", observation, self.observation_dim)
+        dtype = self.log_temperature.dtype
+        check_batch("observation", observation, self.observation_dim, dtype)
         policy = self.policy(observation)
         if deterministic:
             return policy.mode
@@ -184,7 +189,7 @@ class CuriousActorCritic(nn.Module):
 
     @torch.no_grad()
     def metrics(self) -> dict[str, Tensor]:
-        """What is too dear to log at every update: how far a learned prior is from uniform, nats."""
+        """What is too dear for every update: how far a learned prior is from uniform, in nats."""
         if isinstance(self.prior, FlatPrior):
             return {}
         generator = torch.Generator().manual_seed(0)  # leaves the global stream where it is
@@ -310,7 +315,7 @@ class CuriousActorCritic(nn.Module):
     def set_extra_state(self, state: dict[str, Any]) -> None:
         """Restore the optimisers."""
         for name, optimizer in self.optimizers.items():
-            optimizer.load_state_dict(state[name])
+            optimizer.load_state_dict(deepcopy(state[name]))  # it would keep the tensors
 
 
 def _check_positive(name: str, value: float) -> None:

@@ -138,8 +138,7 @@ class CuriosityBonus(Bonus):
 
     def loss(self, transition: Transition) -> Float[Tensor, ""]:
         """Negative log-likelihood of the ensemble, in nats; see `DynamicsEnsemble.loss`."""
-        check_batch("observation", transition.observation, self.observation_dim)
-        check_batch("action", transition.action, self.action_dim)
+        self._check_pairs(transition.observation, transition.action)
         return self.dynamics.loss(transition)
 
     @torch.no_grad()
@@ -156,10 +155,16 @@ class CuriosityBonus(Bonus):
             ValueError: If a field has the wrong shape or holds NaN or infinity. The statistics
                 are then as before.
         """
-        check_transition(transition, self.observation_dim, self.action_dim)
+        self._check_transition(transition)
+        refreshing = self.num_observed % self.refresh_interval == 0
+        if refreshing and policy is not None:
+            fresh = transition._replace(action=policy(transition.observation))
+            self._check_transition(fresh)
+        else:
+            fresh = transition
         self.dynamics.observe(transition)
-        if self.num_observed % self.refresh_interval == 0:
-            self._refresh(transition, policy)
+        if refreshing:
+            self._refresh(transition, fresh.action)
         self.num_observed.add_(1)
 
     def decompose(
@@ -221,19 +226,24 @@ class CuriosityBonus(Bonus):
         }
 
     def _predict(self, observation: Tensor, action: Tensor) -> Prediction:
-        check_batch("observation", observation, self.observation_dim)
-        check_batch("action", action, self.action_dim)
+        self._check_pairs(observation, action)
         if self.marginal.is_empty:
             raise RuntimeError("`observe` must see a batch before the bonus can be computed.")
         with frozen(self.dynamics):
             return self.dynamics(observation, action)
 
-    def _refresh(self, transition: Transition, policy: Policy | None) -> None:
+    def _check_pairs(self, observation: Tensor, action: Tensor) -> None:
+        check_batch("observation", observation, self.observation_dim, self.moments.mean.dtype)
+        check_batch("action", action, self.action_dim, self.moments.mean.dtype)
+
+    def _check_transition(self, transition: Transition) -> None:
+        dtype = self.moments.mean.dtype
+        check_transition(transition, self.observation_dim, self.action_dim, dtype)
+
+    def _refresh(self, transition: Transition, fresh_action: Tensor) -> None:
         """Renew the marginal's components, the standardisation and the probes."""
         observation = transition.observation
-        action = transition.action if policy is None else policy(observation)
-        check_batch("action", action, self.action_dim)
-        prediction = self.dynamics(observation, action)
+        prediction = self.dynamics(observation, fresh_action)
         rows = torch.arange(observation.shape[0], device=observation.device)
         member = rows % self.dynamics.members  # each component is some member's, in turn
         self.marginal.refresh(prediction.loc[member, rows], prediction.log_var[member, rows])

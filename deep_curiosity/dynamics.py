@@ -15,6 +15,8 @@ from deep_curiosity.transitions import Transition
 
 LOG_VAR_RANGE = (-9.0, 2.0)  # of the whitened change: sharper is float noise, wider is ignorance
 HELD_OUT_SHARE = 20  # one transition in twenty is never trained on
+HASH_OFFSET = 0x9E3779B9  # so that zeros count; the golden ratio's digits
+HASH_FACTOR = 0x5851F42D4C957F2D  # odd, of Knuth's generator MMIX
 HELD_OUT_DECAY = 0.98  # of the held-out averages, for each batch
 NINETY_PERCENT = 1.6449  # half-width of a standard Gaussian's central 90 % interval
 
@@ -64,8 +66,8 @@ class DynamicsEnsemble(nn.Module):
         for name, dim in (("observation_dim", observation_dim), ("action_dim", action_dim)):
             if dim < 1:
                 raise ValueError(f"`{name}` must be at least 1, got {dim}.")
-        if not noise_floor > 0:
-            raise ValueError(f"`noise_floor` must be positive, got {noise_floor}.")
+        if not 0 < noise_floor < math.inf:
+            raise ValueError(f"`noise_floor` must be positive and finite, got {noise_floor}.")
         self.members = members
         self.noise_floor = noise_floor
         self.network = StackedMLP(
@@ -97,7 +99,9 @@ class DynamicsEnsemble(nn.Module):
         twenty, chosen for good by its content, is held out of every bootstrap and measured.
         """
         nll, standard_error = self.negative_log_likelihood(transition)
-        held_out = is_held_out(transition.next_observation)
+        held_out = is_held_out(
+            torch.cat([transition.observation, transition.action, transition.next_observation], -1)
+        )
         with torch.no_grad():
             weight = torch.poisson(torch.ones_like(nll)).masked_fill_(held_out, 0.0)
             self._track_held_out(nll, standard_error, held_out)
@@ -149,8 +153,10 @@ def soft_clamp(value: Float[Tensor, "*batch"], low: float, high: float) -> Float
     return low + softplus(value - low)
 
 
-def is_held_out(observation: Float[Tensor, "batch dim"]) -> Bool[Tensor, " batch"]:
+def is_held_out(row: Float[Tensor, "batch dim"]) -> Bool[Tensor, " batch"]:
     """Mark one row in twenty by a hash of its bits: the same rows in every batch and every run."""
-    bits = observation.float().contiguous().view(torch.int32).long()
-    factor = 2 * torch.arange(bits.shape[-1], device=bits.device) + 2_654_435_761  # Knuth's odd
-    return ((bits * factor).sum(-1) >> 15) % HELD_OUT_SHARE == 0
+    bits = row.float().contiguous().view(torch.int32).long() + HASH_OFFSET
+    mixed = (bits * (2 * torch.arange(bits.shape[-1], device=bits.device) + HASH_FACTOR)).sum(-1)
+    for _ in range(2):  # round numbers have empty low bits: bring the high ones down
+        mixed = (mixed ^ (mixed >> 29)) * HASH_FACTOR
+    return (mixed >> 32) % HELD_OUT_SHARE == 0

@@ -57,7 +57,7 @@ class NextStateMarginal(nn.Module):
         if components < 2:
             raise ValueError(f"`components` must be at least 2, got {components}.")
         named = bandwidth in ("silverman", "perplexity")
-        if not named and not (isinstance(bandwidth, int | float) and bandwidth > 0):
+        if not named and not (isinstance(bandwidth, int | float) and 0 < bandwidth < math.inf):
             raise ValueError(
                 "`bandwidth` must be 'silverman', 'perplexity' or a positive number, "
                 f"got {bandwidth!r}."

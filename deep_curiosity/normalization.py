@@ -5,6 +5,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 VARIANCE_FLOOR = 1e-8  # a feature that never moves is whitened by 1e-4 of its unit, not by zero
+WHITENED_BOUND = 10.0  # a feature that starts to move late would drown all others
 
 
 class RunningMoments(nn.Module):
@@ -42,9 +43,9 @@ class RunningMoments(nn.Module):
 
     @property
     def scale(self) -> Float[Tensor, " dim"]:
-        """Standard deviation of each feature, never zero."""
-        return (self.var + VARIANCE_FLOOR).sqrt()
+        """Standard deviation of each feature, never zero; one while a single row is known."""
+        return torch.where(self.count < 2, 1.0, (self.var + VARIANCE_FLOOR).sqrt())
 
     def normalize(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch dim"]:
-        """Centre and scale."""
-        return (value - self.mean) / self.scale
+        """Centre, scale, and cut at 10 standard deviations."""
+        return ((value - self.mean) / self.scale).clamp(-WHITENED_BOUND, WHITENED_BOUND)

@@ -173,7 +173,7 @@ class ReplayBuffer:
             capacity: Of the new buffer; that of the old one's contents when `None`.
             seed: Of the generator that draws batches.
         """
-        held = buffer[:]
+        held = _oldest_first(buffer)
         following = held["next"]
         rows = torch.cat(
             [
@@ -187,7 +187,7 @@ class ReplayBuffer:
             dim=-1,
         )
         sizes = held["observation"].shape[-1], held["action"].shape[-1]
-        copy = cls(capacity or rows.shape[0], *sizes, seed=seed)
+        copy = cls(rows.shape[0] if capacity is None else capacity, *sizes, seed=seed)
         rows = rows[-copy.capacity :]
         copy._rows[: rows.shape[0]] = rows
         copy._num_added = rows.shape[0]
@@ -208,9 +208,19 @@ class ReplayBuffer:
 
 
 def _finite_vector(name: str, value: Vector, dim: int) -> np.ndarray:
-    vector = np.asarray(value, dtype=np.float32).reshape(-1)
+    with np.errstate(over="ignore"):  # what is too large becomes infinite, and is told below
+        vector = np.asarray(value, dtype=np.float32).reshape(-1)
     if vector.shape != (dim,):
         raise ValueError(f"`{name}` must have {dim} entries, got {vector.shape[0]}.")
     if not np.isfinite(vector).all():
         raise ValueError(f"`{name}` must be finite, got {vector.tolist()}.")
     return vector
+
+
+def _oldest_first(buffer: "TorchRLReplayBuffer") -> Any:
+    """Contents of a torchrl buffer in the order of writing, also where it has gone round."""
+    held = buffer[:]
+    if len(buffer) < buffer._storage.max_size:
+        return held
+    next_slot = buffer._writer._cursor % len(buffer)
+    return torch.cat([held[next_slot:], held[:next_slot]])

@@ -23,16 +23,16 @@ class Transition(NamedTuple):
     truncated: Bool[Tensor, " batch"]
 
 
-def check_batch(name: str, value: Tensor, dim: int) -> None:
-    """Reject what is not a batch of floating-point vectors of length `dim`.
+def check_batch(name: str, value: Tensor, dim: int, dtype: torch.dtype = torch.float32) -> None:
+    """Reject what is not a batch of vectors of length `dim` in the precision of the networks.
 
     Raises:
-        TypeError: If `value` is no tensor or has no floating-point dtype.
+        TypeError: If `value` is no tensor or has another dtype.
         ValueError: If the shape is not `(batch, dim)`.
     """
-    if not isinstance(value, Tensor) or not value.is_floating_point():
-        kind = value.dtype if isinstance(value, Tensor) else type(value).__name__
-        raise TypeError(f"`{name}` must be a floating-point tensor, got {kind}.")
+    kind = value.dtype if isinstance(value, Tensor) else type(value).__name__
+    if kind != dtype:
+        raise TypeError(f"`{name}` must be a tensor of {dtype}, got {kind}.")
     if value.ndim != 2 or value.shape[1] != dim:
         raise ValueError(f"`{name}` must have shape (batch, {dim}), got {tuple(value.shape)}.")
 
@@ -49,7 +49,12 @@ def check_finite(name: str, value: Tensor) -> None:
         raise ValueError(f"`{name}` must be finite, got {value[row].tolist()} in row {row}.")
 
 
-def check_transition(transition: Transition, observation_dim: int, action_dim: int) -> None:
+def check_transition(
+    transition: Transition,
+    observation_dim: int,
+    action_dim: int,
+    dtype: torch.dtype = torch.float32,
+) -> None:
     """Reject a transition whose shapes, kinds or values would spoil statistics for good.
 
     Raises:
@@ -62,7 +67,7 @@ def check_transition(transition: Transition, observation_dim: int, action_dim: i
         ("next_observation", observation_dim),
     ):
         value = getattr(transition, name)
-        check_batch(name, value, dim)
+        check_batch(name, value, dim, dtype)
         check_finite(name, value)
     num_rows = {name: getattr(transition, name).shape[0] for name in transition._fields}
     if len(set(num_rows.values())) != 1 or num_rows["observation"] == 0:

@@ -1,9 +1,12 @@
-"""One thread, and a random stream of its own for every test."""
+"""One thread, a random stream of its own for every test, and runs of a second."""
 
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 import torch
+
+from deep_curiosity.training import Settings
 
 torch.set_num_threads(1)
 
@@ -13,3 +16,24 @@ def own_random_stream() -> Iterator[None]:
     with torch.random.fork_rng():
         torch.manual_seed(0)
         yield
+
+
+@pytest.fixture
+def tiny(tmp_path: Path) -> Settings:
+    return Settings(
+        env_id="PendulumSwingup",
+        env_kwargs={"action_cost": 0.1},
+        total_steps=60,
+        out=tmp_path / "run",
+        hidden_dim=16,
+        batch_size=32,
+        components=16,
+        members=2,
+        refresh_interval=3,
+        learning_starts=20,
+        log_interval=20,
+        evaluation_interval=40,
+        evaluation_episodes=1,
+        checkpoint_interval=25,
+        replay_capacity=500,
+    )

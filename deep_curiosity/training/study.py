@@ -118,7 +118,7 @@ def summarize(rows: Sequence[Mapping[str, Any]]) -> str:
 
 def median_and_range(values: Sequence[float | int | None]) -> str:
     """`median [lowest, highest]`; a value that is missing counts as never, above all others."""
-    known = sorted(math.inf if value is None else value for value in values)
+    known = sorted(math.inf if value is None else float(value) for value in values)
     shown = [_or_never(value) for value in (statistics.median(known), known[0], known[-1])]
     return "{} [{}, {}]".format(*shown)
 

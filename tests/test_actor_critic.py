@@ -1,0 +1,58 @@
+import pytest
+import torch
+
+from deep_curiosity.actor_critic import LOG_STD_RANGE, Critics, GaussianPolicy
+
+
+def test_policy_has_one_gaussian_for_each_observation():
+    policy = GaussianPolicy(3, 2, hidden_dims=(8,))(torch.randn(5, 3))
+    assert policy.loc.shape == policy.log_std.shape == (5, 2)
+
+
+def test_log_std_stays_in_its_range_at_any_observation():
+    policy = GaussianPolicy(3, 2, hidden_dims=(8,))(torch.randn(64, 3) * 1e4)
+    low, high = LOG_STD_RANGE
+    assert policy.log_std.min() >= low and policy.log_std.max() <= high
+    assert policy.log_std.max() - policy.log_std.min() > 1  # and it uses the range
+
+
+def test_where_the_network_says_zero_log_std_is_the_middle_of_its_range():
+    policy = GaussianPolicy(3, 2, hidden_dims=())
+    for parameter in policy.parameters():
+        parameter.data.zero_()
+    distribution = policy(torch.randn(4, 3))
+    torch.testing.assert_close(distribution.log_std, torch.full((4, 2), -1.5))
+    torch.testing.assert_close(distribution.loc, torch.zeros(4, 2))
+
+
+def test_gradients_reach_every_parameter_of_the_policy():
+    policy = GaussianPolicy(3, 2, hidden_dims=(8,))
+    distribution = policy(torch.randn(32, 3))
+    distribution.log_prob(distribution.pre_action(torch.randn(32, 2))).sum().backward()
+    assert all(parameter.grad.abs().sum() > 0 for parameter in policy.parameters())
+
+
+@pytest.mark.parametrize("pairs", [1, 2])
+def test_every_value_is_estimated_twice(pairs):
+    critics = Critics(3, 2, pairs=pairs, hidden_dims=(8,))
+    value = critics(torch.randn(5, 3), torch.randn(5, 2))
+    assert value.shape == (pairs, 2, 5)
+    flat = value.flatten(0, 1)
+    assert all((flat[i] != flat[j]).all() for i in range(2 * pairs) for j in range(i))
+
+
+def test_lower_value_is_the_smaller_of_each_pair():
+    critics = Critics(3, 2, pairs=2, hidden_dims=(8,))
+    observation, action = torch.randn(50, 3), torch.randn(50, 2)
+    value = critics(observation, action)
+    expected = torch.stack([torch.minimum(*value[0]), torch.minimum(*value[1])])
+    assert critics.lower(observation, action).equal(expected)
+    assert 0 < (expected == value[:, 0]).float().mean() < 1  # neither estimate always wins
+
+
+def test_values_see_observation_and_action():
+    critics = Critics(3, 2, hidden_dims=(8,))
+    observation = torch.randn(5, 3, requires_grad=True)
+    action = torch.randn(5, 2, requires_grad=True)
+    critics(observation, action).sum().backward()
+    assert observation.grad.abs().sum() > 0 and action.grad.abs().sum() > 0

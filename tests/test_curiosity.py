@@ -1,0 +1,486 @@
+import math
+from copy import deepcopy
+
+import pytest
+import torch
+from torch import nn
+
+from deep_curiosity.curiosity import CuriosityBonus
+from deep_curiosity.divergences import kl_to_mixture_sampled
+from deep_curiosity.dynamics import Prediction
+from deep_curiosity.transitions import Transition
+
+SMALL = {"members": 3, "hidden_dims": (16,), "components": 32, "refresh_interval": 1}
+
+
+def random_transition(batch=32, observation_dim=3, action_dim=2):
+    observation = torch.randn(batch, observation_dim)
+    action = torch.rand(batch, action_dim) * 2 - 1
+    next_observation = observation + 0.1 * torch.randn(batch, observation_dim)
+    flag = torch.zeros(batch, dtype=torch.bool)
+    return Transition(observation, action, torch.randn(batch), next_observation, flag, flag)
+
+
+def small_bonus(**options):
+    return CuriosityBonus(3, 2, **SMALL | options)
+
+
+def watchful_bonus(**options):
+    """A bonus that has observed a batch, and the batch."""
+    bonus, batch = small_bonus(**options), random_transition()
+    bonus.observe(batch)
+    return bonus, batch
+
+
+class FixedDynamics(nn.Module):
+    """Members whose answer is the action times a slope of each, of one width."""
+
+    noise_floor = 0.05
+
+    def __init__(self, slopes, std=0.1):
+        super().__init__()
+        self.slopes, self.log_std = torch.tensor(slopes), math.log(std)
+        self.members = len(slopes)
+
+    def forward(self, observation, action):
+        loc = self.slopes.view(-1, 1, 1) * action
+        return Prediction(loc, torch.full_like(loc, 2 * self.log_std))
+
+    def observe(self, transition):
+        pass
+
+    def metrics(self):
+        return {}
+
+
+def bonus_of(*slopes, **options):
+    """A bonus about a world of known answers, with observations as long as actions."""
+    bonus = CuriosityBonus(2, 2, **SMALL | options)
+    bonus.dynamics = FixedDynamics(slopes)
+    return bonus
+
+
+def copied(state):
+    return {name: value.clone() for name, value in state.items()}
+
+
+def assert_unchanged(module, before):
+    now = module.state_dict()
+    assert all(value.equal(before[name]) or value.isnan().all() for name, value in now.items())
+
+
+def test_bonus_is_zero_when_every_member_predicts_the_marginal():
+    bonus = bonus_of(0.0, 0.0)
+    batch = random_transition(16, 2, 2)
+    bonus.observe(batch)
+    nats = bonus.nats(batch.observation, batch.action)
+    torch.testing.assert_close(nats, torch.zeros(16), atol=1e-6, rtol=0)
+    assert bonus(batch.observation, batch.action).abs().max() < 1e-2
+
+
+def test_bonus_of_known_answers_is_the_mean_divergence_of_the_members():
+    bonus = bonus_of(1.0, 3.0)
+    batch = random_transition(16, 2, 2)
+    bonus.observe(batch)
+    loc, log_var = bonus.dynamics(batch.observation, batch.action)
+    expected = torch.stack([bonus.marginal.kl_upper(loc[i], log_var[i]) for i in range(2)]).mean(0)
+    torch.testing.assert_close(bonus.nats(batch.observation, batch.action), expected)
+
+
+def test_where_one_seldom_ends_up_the_bonus_is_larger():
+    bonus = bonus_of(1.0, 1.0)
+    batch = random_transition(64, 2, 2)
+    batch = batch._replace(action=0.05 * batch.action)
+    bonus.observe(batch)
+    usual, rare = torch.zeros(1, 2), torch.ones(1, 2)
+    assert bonus(usual, rare).item() > bonus(usual, usual).item() + 0.1
+
+
+def test_standardised_bonus_has_mean_zero_and_the_weight_as_deviation():
+    bonus, batch = watchful_bonus(weight=0.3)
+    value = bonus(batch.observation, batch.action)
+    assert value.mean().item() == pytest.approx(0, abs=1e-4)
+    assert value.std(correction=0).item() == pytest.approx(0.3, rel=1e-3)
+
+
+def test_weight_is_a_tenth_by_default():
+    bonus, batch = watchful_bonus()
+    assert bonus(batch.observation, batch.action).std(correction=0).item() == pytest.approx(
+        0.1, rel=1e-3
+    )
+
+
+@pytest.mark.parametrize("center", [True, False])
+@pytest.mark.parametrize("scale", [True, False])
+def test_centring_and_scaling_are_switches(center, scale):
+    bonus, batch = watchful_bonus(center=center, scale=scale, weight=0.5)
+    nats = bonus.nats(batch.observation, batch.action)
+    mean, std = nats.mean().item(), nats.std(correction=0).item()
+    assert abs(mean) > 0.1 and abs(std - 1) > 0.05  # so that neither switch is idle
+    expected = 0.5 * (nats - mean * center) / (std if scale else 1)
+    torch.testing.assert_close(
+        bonus(batch.observation, batch.action), expected, atol=1e-3, rtol=1e-3
+    )
+
+
+def test_bonus_is_differentiable_in_the_action():
+    torch.manual_seed(1)
+    bonus = small_bonus(noise_floor=0.5).double()
+    batch = random_transition(8)
+    batch = Transition(*(f.double() if f.is_floating_point() else f for f in batch))
+    bonus.observe(batch)
+    action = batch.action[:3].clone().requires_grad_()
+    observation = batch.observation[:3].clone().requires_grad_()
+    assert torch.autograd.gradcheck(bonus, (observation, action))
+    bonus(observation, action).sum().backward()
+    assert action.grad.abs().min() > 0
+
+
+def test_bonus_gives_no_gradient_to_the_models():
+    bonus, batch = watchful_bonus()
+    action = batch.action.clone().requires_grad_()
+    bonus(batch.observation, action).sum().backward()
+    assert all(parameter.grad is None for parameter in bonus.parameters())
+    assert all(parameter.requires_grad for parameter in bonus.parameters())
+
+
+def test_bonus_leaves_the_state_dict_unchanged():
+    bonus, batch = watchful_bonus()
+    before = copied(bonus.state_dict())
+    bonus(batch.observation, batch.action)
+    bonus.nats(batch.observation, batch.action)
+    bonus.decompose(batch.observation, batch.action)
+    bonus.metrics()
+    assert_unchanged(bonus, before)
+
+
+def test_loss_reaches_every_parameter():
+    bonus = small_bonus()
+    bonus.loss(random_transition(256)).backward()
+    assert all(parameter.grad.abs().sum() > 0 for parameter in bonus.parameters())
+
+
+def test_parts_add_up_to_the_total():
+    bonus, batch = watchful_bonus()
+    for _ in range(5):
+        noise = torch.randn(8, 3, 32, 3)
+        power, gain, total = bonus.decompose(batch.observation, batch.action, noise)
+        torch.testing.assert_close(power + gain, total, atol=1e-4, rtol=0)
+
+
+def test_information_gain_of_equal_members_is_zero():
+    bonus = bonus_of(1.0, 1.0, 1.0)
+    batch = random_transition(16, 2, 2)
+    bonus.observe(batch)
+    parts = bonus.decompose(batch.observation, batch.action)
+    torch.testing.assert_close(parts.information_gain, torch.zeros(16), atol=1e-5, rtol=0)
+    assert parts.predictive_power.mean() > 0.1
+
+
+def test_information_gain_of_two_members_far_apart_is_one_bit():
+    bonus = bonus_of(-5.0, 5.0)
+    batch = random_transition(16, 2, 2)
+    batch = batch._replace(action=torch.full((16, 2), 0.8))
+    bonus.observe(batch)
+    parts = bonus.decompose(batch.observation, batch.action)
+    torch.testing.assert_close(parts.information_gain, torch.full((16,), math.log(2)))
+
+
+def test_members_that_never_agree_with_where_they_lead_have_power_but_no_gain():
+    bonus = bonus_of(2.0, 2.0)
+    batch = random_transition(32, 2, 2)
+    bonus.observe(batch)
+    parts = bonus.decompose(batch.observation, batch.action, torch.randn(500, 2, 32, 2))
+    assert parts.predictive_power.mean() > 1 > 1e-4 > parts.information_gain.abs().max()
+
+
+def test_total_is_the_sampled_divergence_averaged_over_members():
+    bonus, batch = watchful_bonus()
+    noise = torch.randn(8, 3, 32, 3)
+    loc, log_var = bonus.dynamics(batch.observation, batch.action)
+    marginal = bonus.marginal
+    expected = kl_to_mixture_sampled(
+        loc,
+        log_var,
+        marginal.loc,
+        marginal.component_log_var,
+        marginal.log_weight,
+        samples=loc + (0.5 * log_var).exp() * noise,
+    )
+    total = bonus.decompose(batch.observation, batch.action, noise).total
+    torch.testing.assert_close(total, expected.mean(0), atol=1e-4, rtol=1e-4)
+
+
+def test_parts_are_positive_and_the_bonus_bounds_their_sum():
+    bonus, batch = watchful_bonus()
+    noise = torch.randn(400, 3, 32, 3)
+    parts = bonus.decompose(batch.observation, batch.action, noise)
+    assert parts.predictive_power.mean() > 0 and parts.information_gain.mean() > 0
+    assert parts.total.mean() <= bonus.nats(batch.observation, batch.action).mean() + 0.05
+
+
+def noisy_and_rare_world(batch):
+    """Nine actions in ten lead to pure noise, the rest to one place."""
+    observation = 0.1 * torch.randn(batch, 2)
+    action = torch.rand(batch, 1) * 2 - 1
+    place = torch.tensor([2.0, -2.0]) + 0.05 * torch.randn(batch, 2)
+    next_observation = torch.where(action > 0.8, place, torch.randn(batch, 2))
+    flag = torch.zeros(batch, dtype=torch.bool)
+    return Transition(observation, action, torch.zeros(batch), next_observation, flag, flag)
+
+
+def test_pure_noise_earns_nothing_once_its_variance_is_learned():
+    bonus = CuriosityBonus(2, 1, members=2, hidden_dims=(32, 32), center=False, scale=False)
+    optimizer = torch.optim.Adam(bonus.parameters(), lr=5e-3, fused=True)
+    world = noisy_and_rare_world(5_000)
+    bonus.observe(world)
+    for _ in range(300):
+        rows = torch.randint(5_000, (256,))
+        optimizer.zero_grad()
+        bonus.loss(Transition(*(field[rows] for field in world))).backward()
+        optimizer.step()
+    bonus.observe(world)
+    bonus.refresh_interval = 1
+    bonus.observe(world)
+    observation = torch.zeros(50, 2)
+    noise = bonus.nats(observation, torch.linspace(-0.9, 0.6, 50).unsqueeze(-1))
+    place = bonus.nats(observation, torch.full((50, 1), 0.95))
+    assert noise.mean().item() < 0.5
+    assert place.mean().item() > 2 > 4 * noise.mean().item()
+
+
+def trained_one_step(bonus, optimizer, batch):
+    optimizer.zero_grad()
+    bonus.loss(batch).backward()
+    optimizer.step()
+    bonus.observe(batch)
+
+
+def test_a_bonus_restored_from_its_state_dict_goes_on_bit_for_bit():
+    bonus, copy = small_bonus(refresh_interval=3), small_bonus(refresh_interval=3)
+    optimizer = torch.optim.Adam(bonus.parameters(), fused=True)
+    copied_optimizer = torch.optim.Adam(copy.parameters(), fused=True)
+    for _ in range(4):
+        trained_one_step(bonus, optimizer, random_transition())
+    copy.load_state_dict(bonus.state_dict())
+    copied_optimizer.load_state_dict(deepcopy(optimizer.state_dict()))
+    for one, its_optimizer in ((bonus, optimizer), (copy, copied_optimizer)):
+        torch.manual_seed(1)
+        for _ in range(5):
+            trained_one_step(one, its_optimizer, random_transition())
+    probe = random_transition()
+    assert copy(probe.observation, probe.action).equal(bonus(probe.observation, probe.action))
+    assert_unchanged(copy, bonus.state_dict())
+
+
+def test_marginal_is_refreshed_at_every_interval_only():
+    bonus = small_bonus(refresh_interval=3)
+    refreshed = []
+    for _ in range(8):
+        before = bonus.marginal.num_seen.item()
+        bonus.observe(random_transition())
+        refreshed.append(bonus.marginal.num_seen.item() > before)
+    assert refreshed == [True, False, False, True, False, False, True, False]
+
+
+def test_whitening_is_updated_at_every_call():
+    bonus = small_bonus(refresh_interval=100)
+    for _ in range(3):
+        bonus.observe(random_transition(32))
+    assert bonus.dynamics.observation_moments.count == 96
+
+
+def test_the_marginal_follows_the_policy():
+    batch = random_transition(32, 2, 2)
+    usual, fresh = bonus_of(1.0, 1.0), bonus_of(1.0, 1.0)
+    usual.observe(batch)
+    fresh.observe(batch, lambda observation: observation.tanh() + 7)
+    assert usual.marginal.loc.equal(batch.action)
+    assert fresh.marginal.loc.equal(batch.observation.tanh() + 7)
+
+
+def test_every_member_has_its_say_in_the_marginal():
+    bonus = bonus_of(1.0, 2.0, 4.0)
+    batch = random_transition(30, 2, 2)._replace(action=torch.ones(30, 2))
+    bonus.observe(batch)
+    values, counts = bonus.marginal.loc[:30, 0].unique(return_counts=True)
+    assert values.tolist() == [1, 2, 4] and counts.tolist() == [10, 10, 10]
+
+
+def spoiled(name, bad):
+    batch = random_transition()
+    value = getattr(batch, name).clone()
+    value[3, 1] = bad
+    return batch._replace(**{name: value})
+
+
+BAD_BATCHES = {
+    "nan observation": lambda: spoiled("observation", math.nan),
+    "infinite observation": lambda: spoiled("observation", math.inf),
+    "nan action": lambda: spoiled("action", math.nan),
+    "nan next observation": lambda: spoiled("next_observation", math.nan),
+    "infinite next observation": lambda: spoiled("next_observation", -math.inf),
+    "observation too long": lambda: random_transition(observation_dim=4),
+    "action too long": lambda: random_transition(action_dim=3),
+    "action too short": lambda: random_transition(action_dim=1),
+    "whole numbers": lambda: random_transition()._replace(action=torch.zeros(32, 2).long()),
+    "double precision": lambda: Transition(
+        *(f.double() if f.is_floating_point() else f for f in random_transition())
+    ),
+    "empty": lambda: random_transition(0),
+    "rows missing": lambda: random_transition()._replace(action=torch.zeros(31, 2)),
+}
+
+
+@pytest.mark.parametrize("reason", BAD_BATCHES)
+def test_a_bad_batch_is_rejected_and_changes_nothing(reason):
+    bonus, _ = watchful_bonus()
+    before = copied(bonus.state_dict())
+    with pytest.raises((ValueError, TypeError)):
+        bonus.observe(BAD_BATCHES[reason]())
+    assert_unchanged(bonus, before)
+
+
+BAD_POLICIES = {
+    "too long": lambda observation: torch.zeros(observation.shape[0], 3),
+    "rows missing": lambda observation: torch.zeros(1, 2),
+    "nan": lambda observation: torch.full((observation.shape[0], 2), math.nan),
+}
+
+
+@pytest.mark.parametrize("reason", BAD_POLICIES)
+def test_a_bad_policy_is_rejected_and_changes_nothing(reason):
+    bonus, batch = watchful_bonus()
+    before = copied(bonus.state_dict())
+    with pytest.raises((ValueError, TypeError), match="action"):
+        bonus.observe(batch, BAD_POLICIES[reason])
+    assert_unchanged(bonus, before)
+
+
+def test_an_error_names_argument_rule_and_value():
+    bonus, _ = watchful_bonus()
+    with pytest.raises(
+        ValueError, match=r"`observation` must be finite, got \[.*nan.*\] in row 3"
+    ):
+        bonus.observe(BAD_BATCHES["nan observation"]())
+    with pytest.raises(ValueError, match=r"`action` must have shape \(batch, 2\), got \(32, 3\)"):
+        bonus.observe(BAD_BATCHES["action too long"]())
+
+
+@pytest.mark.parametrize("question", ["forward", "nats", "decompose"])
+def test_nothing_can_be_asked_before_anything_is_observed(question):
+    batch = random_transition()
+    with pytest.raises(RuntimeError, match="`observe`"):
+        getattr(small_bonus(), question)(batch.observation, batch.action)
+
+
+def test_a_pair_of_wrong_shape_is_rejected():
+    bonus, batch = watchful_bonus()
+    with pytest.raises(ValueError, match=r"`action` must have shape \(batch, 2\), got \(32, 3\)"):
+        bonus(batch.observation, torch.zeros(32, 3))
+    with pytest.raises(ValueError, match=r"`observation` must have shape \(batch, 3\)"):
+        bonus(torch.zeros(32, 4), batch.action)
+
+
+def test_metrics_are_flat_and_leave_the_random_stream_alone():
+    bonus, batch = watchful_bonus()
+    bonus.loss(batch)
+    random_state = torch.get_rng_state()
+    metrics = bonus.metrics()
+    assert torch.get_rng_state().equal(random_state)
+    for name, value in metrics.items():
+        assert value.ndim == 0 and not value.requires_grad, name
+        assert name.startswith("model_") or value.isfinite(), name
+    assert bonus.metrics()["information_gain"].equal(metrics["information_gain"])
+
+
+def test_metrics_agree_with_what_they_summarise():
+    bonus = bonus_of(1.0, 3.0)
+    batch = random_transition(64, 2, 2)
+    bonus.observe(batch)
+    metrics = bonus.metrics()
+    nats = bonus.nats(batch.observation, batch.action)
+    torch.testing.assert_close(metrics["nats"], nats.mean())
+    torch.testing.assert_close(metrics["nats_std"], nats.std(correction=0), rtol=1e-4, atol=1e-4)
+    total = metrics["predictive_power"] + metrics["information_gain"]
+    assert metrics["nats"] - metrics["bound_gap"] - 0.2 < total < metrics["nats"] + 0.2
+    torch.testing.assert_close(
+        metrics["conditional_entropy"],
+        torch.tensor(math.log(2 * math.pi * math.e) + 2 * math.log(0.1)),
+    )
+    assert metrics["floor_share"].item() == pytest.approx(0.25)  # (0.05 / 0.1)^2
+    assert metrics["bound_gap"] >= 0
+    assert 1 <= metrics["marginal_perplexity"] <= 32
+
+
+def test_metrics_before_the_first_batch_are_those_of_the_models():
+    assert set(small_bonus().metrics()) == {"model_held_out_nll", "model_coverage_90"}
+
+
+def test_metrics_keep_their_values():
+    """A logger may write them later, when the bonus has moved on."""
+    bonus, _ = watchful_bonus()
+    bonus.loss(random_transition(400))
+    metrics = bonus.metrics()
+    before = copied(metrics)
+    for _ in range(3):
+        bonus.loss(random_transition(400))
+        bonus.observe(random_transition())
+    assert all(value.equal(before[name]) for name, value in metrics.items())
+
+
+def test_the_five_lines_of_the_docstring_run_in_a_loop_of_ones_own():
+    bonus = CuriosityBonus(3, 2, hidden_dims=(16,))
+    optimizer = torch.optim.Adam(bonus.parameters(), lr=1e-3)
+
+    def policy(observation):
+        return torch.tanh(torch.randn(observation.shape[0], 2))
+
+    for _ in range(12):
+        transition = random_transition(64)
+        loss = bonus.loss(transition)
+        optimizer.zero_grad(), loss.backward()
+        optimizer.step()
+        bonus.observe(transition, policy)
+        reward = transition.reward + bonus(transition.observation, transition.action)
+        assert reward.shape == (64,) and reward.isfinite().all() and not reward.requires_grad
+        assert (reward != transition.reward).all()
+
+
+def test_rows_may_come_one_at_a_time():
+    """One row has no variance: whitening by it would blow up whatever comes next."""
+    bonus = small_bonus()
+    for _ in range(4):
+        assert bonus.loss(random_transition(1)).abs() < 1e5
+        bonus.observe(random_transition(1))
+        probe = random_transition()
+        assert bonus.nats(probe.observation, probe.action).max() < 1e5
+        assert bonus(probe.observation, probe.action).abs().max() < 1e3
+
+
+def test_a_feature_that_starts_to_move_late_does_not_drown_the_others():
+    """As a contact, a goal or a score does; its first batch reaches the loss before `observe`."""
+    bonus, still, moving = small_bonus(), random_transition(), random_transition()
+    still.observation[:, 2] = still.next_observation[:, 2] = 0
+    for _ in range(5):
+        bonus.observe(still)
+    assert bonus.loss(moving).abs() < 1e5
+    assert bonus.nats(moving.observation, moving.action).max() < 1e5
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("weight", -0.1),
+        ("weight", math.nan),
+        ("weight", math.inf),
+        ("refresh_interval", 0),
+        ("members", 1),
+        ("noise_floor", 0.0),
+        ("components", 1),
+        ("bandwidth", -1.0),
+    ],
+)
+def test_what_is_out_of_range_is_rejected_by_name_and_value(name, value):
+    with pytest.raises(ValueError, match=rf"`{name}`.*got {value}"):
+        small_bonus(**{name: value})

@@ -1,0 +1,103 @@
+import math
+
+import pytest
+import torch
+from torch.nn.functional import mse_loss
+
+from deep_curiosity.losses import (
+    actor_loss,
+    critic_loss,
+    critic_target,
+    prior_loss,
+    temperature_loss,
+)
+
+
+def test_target_bootstraps_except_where_the_world_ended():
+    target = critic_target(
+        reward=torch.tensor([1.0, 2.0]),
+        terminated=torch.tensor([False, True]),
+        next_value=torch.tensor([10.0, 10.0]),
+        discount=0.9,
+    )
+    torch.testing.assert_close(target, torch.tensor([10.0, 2.0]))
+
+
+def test_a_value_that_is_not_finite_does_not_leak_past_the_end():
+    ended = torch.tensor([True])
+    target = critic_target(torch.ones(1), ended, torch.full((1,), math.inf), 0.9)
+    assert target.item() == 1
+
+
+def test_every_pair_has_a_discount_of_its_own():
+    target = critic_target(
+        reward=torch.tensor([[1.0], [0.5]]),
+        terminated=torch.tensor([False]),
+        next_value=torch.tensor([[10.0], [10.0]]),
+        discount=torch.tensor([[0.9], [0.5]]),
+    )
+    torch.testing.assert_close(target, torch.tensor([[10.0], [5.5]]))
+
+
+def test_critic_loss_by_hand():
+    value = torch.tensor([[[1.0, 2.0], [0.0, 0.0]]])  # one pair, two estimates, two rows
+    target = torch.tensor([[[0.0, 0.0]]])
+    assert critic_loss(value, target).item() == pytest.approx(0.5 * (1 + 4) / 2)
+
+
+def test_critic_loss_sums_over_critics_what_torch_averages_over_rows():
+    value, target = torch.randn(4, 32), torch.randn(1, 32)
+    expected = sum(0.5 * mse_loss(member, target[0]) for member in value)
+    torch.testing.assert_close(critic_loss(value, target), expected)
+
+
+def test_actor_loss_by_hand():
+    loss = actor_loss(
+        torch.tensor([1.0, 3.0]),
+        torch.tensor([10.0, 20.0]),
+        torch.tensor([0.5, 1.5]),
+        temperature=0.2,
+        hunger=2.0,
+    )
+    assert loss.item() == pytest.approx(0.2 * 2 - 2 * 15 - 1)
+
+
+def test_without_hunger_the_extrinsic_value_pulls_nothing():
+    value = torch.randn(4, requires_grad=True)
+    curiosity_value = torch.randn(4, requires_grad=True)
+    actor_loss(torch.zeros(4), value, curiosity_value, temperature=1.0, hunger=0.0).backward()
+    torch.testing.assert_close(value.grad, torch.zeros(4))
+    torch.testing.assert_close(curiosity_value.grad, torch.full((4,), -0.25))
+
+
+def test_minimiser_of_the_actor_loss_is_equation_21():
+    prior = torch.tensor([0.5, 0.3, 0.2], dtype=torch.float64)
+    value = torch.tensor([0.1, 0.4, -0.2], dtype=torch.float64)
+    curiosity_value = torch.tensor([0.3, -0.1, 0.5], dtype=torch.float64)
+    temperature, hunger = 0.7, 0.8
+    policy = prior * torch.exp((hunger * value + curiosity_value) / temperature)
+    logits = (policy / policy.sum()).log().requires_grad_()
+    probability = torch.softmax(logits, 0)
+    cost = torch.log_softmax(logits, 0) - prior.log()
+    keywords = {"temperature": temperature, "hunger": hunger}
+    losses = torch.stack(
+        [
+            actor_loss(cost[i : i + 1], value[i : i + 1], curiosity_value[i : i + 1], **keywords)
+            for i in range(3)
+        ]
+    )
+    (gradient,) = torch.autograd.grad(probability @ losses, logits)
+    torch.testing.assert_close(gradient, torch.zeros(3, dtype=torch.float64))
+
+
+def test_prior_loss_is_the_cross_entropy():
+    assert prior_loss(torch.tensor([-1.0, -2.0])).item() == 1.5
+
+
+@pytest.mark.parametrize(("target_rate", "sign"), [(1.0, -1), (3.0, 1)])
+def test_descent_raises_the_price_while_the_rate_is_above_target(target_rate, sign):
+    log_temperature = torch.zeros((), requires_grad=True)
+    cost = torch.tensor([1.0, 3.0], requires_grad=True)
+    temperature_loss(log_temperature, cost, target_rate).backward()
+    assert log_temperature.grad.item() == pytest.approx(sign)
+    assert cost.grad is None

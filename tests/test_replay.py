@@ -1,0 +1,255 @@
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+
+from deep_curiosity.replay import ReplayBuffer
+from deep_curiosity.transitions import Transition
+
+STATM = Path("/proc/self/statm")
+
+
+def add(replay, number, *, terminated=False, truncated=False):
+    """Store a step whose every entry carries its number."""
+    observation = np.array([number, number + 0.1, number + 0.2])
+    action = np.array([number + 0.3, number + 0.4])
+    replay.add(observation, action, number + 0.5, observation + 100, terminated, truncated)
+
+
+def filled(count, capacity=8, **options):
+    replay = ReplayBuffer(capacity, 3, 2, **options)
+    for number in range(count):
+        add(replay, number, terminated=number % 3 == 0, truncated=number % 4 == 0)
+    return replay
+
+
+def numbers(transition):
+    return transition.observation[:, 0].tolist()
+
+
+def equal(some, others):
+    return all(one.equal(other) for one, other in zip(some, others, strict=True))
+
+
+def test_a_step_comes_out_as_it_went_in():
+    batch = filled(1).sample(1)
+    torch.testing.assert_close(batch.observation, torch.tensor([[0.0, 0.1, 0.2]]))
+    torch.testing.assert_close(batch.action, torch.tensor([[0.3, 0.4]]))
+    torch.testing.assert_close(batch.reward, torch.tensor([0.5]))
+    torch.testing.assert_close(batch.next_observation, torch.tensor([[100.0, 100.1, 100.2]]))
+    assert batch.terminated.tolist() == [True] and batch.truncated.tolist() == [True]
+    assert batch.terminated.dtype == torch.bool and batch.reward.dtype == torch.float32
+
+
+@pytest.mark.parametrize("terminated", [False, True])
+@pytest.mark.parametrize("truncated", [False, True])
+def test_the_two_ends_of_an_episode_are_kept_apart(terminated, truncated):
+    replay = ReplayBuffer(4, 3, 2)
+    add(replay, 1, terminated=terminated, truncated=truncated)
+    batch = replay.sample(5)
+    assert batch.terminated.tolist() == [terminated] * 5
+    assert batch.truncated.tolist() == [truncated] * 5
+
+
+@pytest.mark.parametrize("count", [0, 1, 7, 8, 9, 16, 21])
+def test_the_newest_are_kept_and_come_out_oldest_first(count):
+    replay = filled(count)
+    assert len(replay) == min(count, 8)
+    assert numbers(replay.all()) == list(range(max(0, count - 8), count))
+
+
+def test_only_what_was_added_is_drawn_and_all_of_it():
+    replay = filled(5, capacity=100)
+    assert set(numbers(replay.sample(500))) == {0, 1, 2, 3, 4}
+    assert set(numbers(filled(11).sample(500))) == set(range(3, 11))
+
+
+def test_draws_are_uniform():
+    drawn = filled(4).sample(40_000).observation[:, 0]
+    share = torch.bincount(drawn.long()) / 40_000
+    assert (share - 0.25).abs().max() < 0.01
+
+
+def test_fields_of_a_batch_are_views_of_one_tensor():
+    batch = filled(8).sample(6)
+    storage = {field.untyped_storage().data_ptr() for field in batch[:4]}
+    assert len(storage) == 1 and isinstance(batch, Transition)
+    assert batch.reward.shape == batch.terminated.shape == (6,)
+
+
+def test_a_batch_is_a_copy_of_the_rows():
+    replay = filled(1)
+    replay.sample(1).observation.fill_(77)
+    assert numbers(replay.all()) == [0]
+
+
+def test_draws_follow_the_seed_and_not_the_global_stream():
+    torch.manual_seed(1)
+    one = numbers(filled(8, seed=3).sample(50))
+    torch.manual_seed(2)
+    assert numbers(filled(8, seed=3).sample(50)) == one
+    assert numbers(filled(8, seed=4).sample(50)) != one
+    random_state = torch.get_rng_state()
+    filled(8).sample(50)
+    assert torch.get_rng_state().equal(random_state)
+
+
+@pytest.mark.parametrize("count", [0, 3, 8, 21])
+def test_a_restored_replay_goes_on_as_the_old_one(count):
+    replay, restored = filled(count), ReplayBuffer(8, 3, 2, seed=99)
+    if count:
+        replay.sample(7)
+    state = replay.state_dict()
+    restored.load_state_dict(state)
+    for one in (replay, restored):
+        add(one, 50)
+    assert equal(restored.all(), replay.all())
+    assert equal(restored.sample(64), replay.sample(64))
+
+
+def test_saved_state_stays_as_it_was_saved():
+    replay = filled(3)
+    state = replay.state_dict()
+    for number in range(20, 30):
+        add(replay, number)
+    restored = ReplayBuffer(8, 3, 2)
+    restored.load_state_dict(state)
+    assert numbers(restored.all()) == [0, 1, 2]
+
+
+def test_state_of_a_replay_of_other_sizes_is_rejected():
+    state = filled(12).state_dict()
+    for other in (ReplayBuffer(4, 3, 2), ReplayBuffer(16, 3, 2), ReplayBuffer(8, 4, 2)):
+        with pytest.raises(ValueError, match="`rows` must fit"):
+            other.load_state_dict(state)
+        assert len(other) == 0
+
+
+GOOD = {
+    "observation": np.zeros(3),
+    "action": np.zeros(2),
+    "reward": 0.0,
+    "next_observation": np.zeros(3),
+    "terminated": False,
+    "truncated": False,
+}
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("name", ["observation", "action", "reward", "next_observation"])
+def test_what_is_not_finite_is_rejected_and_not_stored(name, bad):
+    replay = filled(2)
+    value = bad if name == "reward" else np.full_like(GOOD[name], bad)
+    with pytest.raises(ValueError, match=f"`{name}` must be finite"):
+        replay.add(**GOOD | {name: value})
+    assert len(replay) == 2 and numbers(replay.all()) == [0, 1]
+
+
+@pytest.mark.parametrize("name", ["observation", "action", "next_observation"])
+def test_a_wrong_length_is_rejected_and_not_stored(name):
+    replay = filled(2)
+    with pytest.raises(ValueError, match=f"`{name}` must have . entries, got 5"):
+        replay.add(**GOOD | {name: np.zeros(5)})
+    assert len(replay) == 2
+
+
+def test_a_number_too_large_for_the_rows_is_rejected():
+    with pytest.raises(ValueError, match="`reward` must be finite"):
+        filled(2).add(**GOOD | {"reward": 1e300})
+
+
+def test_lists_and_single_precision_are_taken_as_well():
+    replay = ReplayBuffer(2, 3, 1)
+    replay.add([1.0, 2.0, 3.0], np.float32([0.5]), 1.0, np.zeros(3, np.float32), True, False)
+    assert replay.all().observation.tolist() == [[1, 2, 3]]
+
+
+def test_an_empty_replay_cannot_be_sampled():
+    with pytest.raises(ValueError, match=r"must hold a transition.*got 0"):
+        ReplayBuffer(4, 3, 2).sample(1)
+
+
+def test_an_empty_batch_cannot_be_sampled():
+    with pytest.raises(ValueError, match="`batch_size` must be at least 1, got 0"):
+        filled(2).sample(0)
+
+
+@pytest.mark.parametrize("name", ["capacity", "observation_dim", "action_dim"])
+def test_a_size_below_one_is_rejected(name):
+    sizes = {"capacity": 4, "observation_dim": 3, "action_dim": 2}
+    with pytest.raises(ValueError, match=f"`{name}` must be at least 1, got 0"):
+        ReplayBuffer(**sizes | {name: 0})
+
+
+@pytest.mark.skipif(not STATM.exists(), reason="reads the resident memory from Linux")
+def test_a_million_rows_take_no_memory_until_they_are_written():
+    def resident():
+        return int(STATM.read_text().split()[1]) * 4096 / 2**20
+
+    before = resident()
+    replay = ReplayBuffer(1_000_000, 17, 6)  # HalfCheetah: 168 MB when full
+    replay.add(np.zeros(17), np.zeros(6), 0.0, np.zeros(17), False, False)
+    replay.sample(256)
+    assert resident() - before < 8
+
+
+@pytest.fixture
+def torchrl_data():
+    return pytest.importorskip("torchrl.data")
+
+
+@pytest.mark.parametrize("count", [1, 5, 8, 21])
+def test_a_round_trip_through_torchrl_keeps_every_transition(torchrl_data, count):
+    replay = filled(count)
+    back = ReplayBuffer.from_torchrl(replay.to_torchrl(), capacity=8)
+    assert equal(back.all(), replay.all())
+    add(back, 50), add(replay, 50)
+    assert equal(back.all(), replay.all())
+
+
+def test_a_torchrl_copy_has_the_usual_keys(torchrl_data):
+    replay = filled(5)
+    held, expected = replay.to_torchrl()[:], replay.all()
+    assert held["observation"].equal(expected.observation)
+    assert held["next", "observation"].equal(expected.next_observation)
+    assert held["next", "reward"].equal(expected.reward.unsqueeze(-1))
+    ended = expected.terminated | expected.truncated
+    assert held["next", "done"].equal(ended.unsqueeze(-1))
+    assert held["next", "terminated"].dtype == torch.bool
+
+
+def test_a_torchrl_copy_can_be_sampled_and_extended(torchrl_data):
+    buffer = filled(5).to_torchrl()
+    assert set(buffer.sample()["observation"][:, 0].tolist()) == {0, 1, 2, 3, 4}
+    buffer.extend(buffer[:2].clone())
+    assert len(buffer) == 7
+
+
+def test_the_copy_of_a_torchrl_buffer_has_room_for_what_it_holds(torchrl_data):
+    back = ReplayBuffer.from_torchrl(filled(5).to_torchrl())
+    assert back.capacity == len(back) == 5
+
+
+def test_a_capacity_below_one_is_not_taken_for_none(torchrl_data):
+    with pytest.raises(ValueError, match="`capacity` must be at least 1, got 0"):
+        ReplayBuffer.from_torchrl(filled(5).to_torchrl(), capacity=0)
+
+
+def test_a_smaller_copy_of_a_torchrl_buffer_keeps_the_newest(torchrl_data):
+    back = ReplayBuffer.from_torchrl(filled(7).to_torchrl(), capacity=3)
+    assert numbers(back.all()) == [4, 5, 6]
+
+
+def test_a_torchrl_buffer_that_went_round_comes_out_oldest_first(torchrl_data):
+    buffer = filled(8).to_torchrl()
+    buffer.extend(filled(11).to_torchrl()[5:])  # numbers 8, 9, 10 in place of 0, 1, 2
+    back = ReplayBuffer.from_torchrl(buffer)
+    assert numbers(back.all()) == list(range(3, 11))
+
+
+def test_seed_of_the_copy_decides_its_draws(torchrl_data):
+    buffer = filled(8).to_torchrl()
+    draws = [ReplayBuffer.from_torchrl(buffer, seed=seed).sample(50) for seed in (1, 1, 2)]
+    assert equal(draws[0], draws[1]) and not equal(draws[0], draws[2])

@@ -1,0 +1,71 @@
+import pytest
+import torch
+
+from deep_curiosity.transitions import Transition, check_batch, check_finite, check_transition
+
+
+def transition(batch=4, observation_dim=3, action_dim=2, **fields):
+    usual = Transition(
+        observation=torch.randn(batch, observation_dim),
+        action=torch.rand(batch, action_dim) * 2 - 1,
+        reward=torch.randn(batch),
+        next_observation=torch.randn(batch, observation_dim),
+        terminated=torch.zeros(batch, dtype=torch.bool),
+        truncated=torch.zeros(batch, dtype=torch.bool),
+    )
+    return usual._replace(**fields)
+
+
+def test_a_good_batch_passes():
+    assert check_transition(transition(), 3, 2) is None
+
+
+def test_double_precision_is_taken_where_the_networks_have_it():
+    value = torch.zeros(4, 3, dtype=torch.float64)
+    assert check_batch("observation", value, 3, torch.float64) is None
+    with pytest.raises(TypeError, match=r"`observation` must be .*float32, got torch\.float64"):
+        check_batch("observation", value, 3)
+
+
+def test_whole_numbers_are_rejected_with_their_dtype():
+    with pytest.raises(TypeError, match=r"`action` must be a tensor of torch\.float32, got torch\.int64"):
+        check_batch("action", torch.zeros(4, 2, dtype=torch.long), 2)
+
+
+@pytest.mark.parametrize("shape", [(3,), (4, 2), (2, 4, 3)])
+def test_a_wrong_shape_is_rejected_with_the_rule_and_the_shape(shape):
+    with pytest.raises(ValueError, match=r"`observation`.*\(batch, 3\)") as error:
+        check_batch("observation", torch.zeros(shape), 3)
+    assert str(shape) in str(error.value)
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), -float("inf")])
+def test_what_is_not_finite_is_rejected_with_its_row(bad):
+    value = torch.zeros(4, 2)
+    value[2, 1] = bad
+    with pytest.raises(ValueError, match=r"`action` must be finite.*row 2"):
+        check_finite("action", value)
+
+
+@pytest.mark.parametrize("name", ["observation", "action", "next_observation"])
+def test_every_vector_of_a_transition_is_checked(name):
+    good = getattr(transition(), name)
+    for bad, error in (
+        (good.long(), TypeError),
+        (good[:, :1], ValueError),
+        (good * float("nan"), ValueError),
+    ):
+        with pytest.raises(error, match=f"`{name}`"):
+            check_transition(transition(**{name: bad}), 3, 2)
+
+
+@pytest.mark.parametrize("name", Transition._fields)
+def test_a_field_of_another_length_is_rejected(name):
+    longer = getattr(transition(batch=5), name)
+    with pytest.raises(ValueError, match=f"one batch size.*'{name}': 5"):
+        check_transition(transition(**{name: longer}), 3, 2)
+
+
+def test_an_empty_batch_is_rejected():
+    with pytest.raises(ValueError, match="at least 1"):
+        check_transition(transition(batch=0), 3, 2)
