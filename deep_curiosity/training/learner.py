@@ -26,11 +26,8 @@ class Learner:
 
     def __init__(self, settings: Settings, observation_dim: int, action_dim: int) -> None:
         self.settings = settings
-        self.device = torch.device(settings.device)
-        self.agent = make_agent(settings, observation_dim, action_dim).to(self.device)
+        self.agent = make_agent(settings, observation_dim, action_dim)
         self.bonus = make_bonus(settings, observation_dim, action_dim)
-        if self.bonus is not None:
-            self.bonus.to(self.device)
         parameters = [] if self.bonus is None else list(self.bonus.parameters())
         self.bonus_optimizer = (
             torch.optim.Adam(parameters, lr=settings.model_learning_rate, fused=True)
@@ -42,18 +39,17 @@ class Learner:
             observation_dim,
             action_dim,
             seed=settings.seed,
-            device=self.device,
         )
 
     def act(self, observation: np.ndarray, *, explore_uniformly: bool = False) -> np.ndarray:
         """Draw an action in [-1, 1] from the policy, or from the whole action box."""
         if explore_uniformly:
             return (2 * torch.rand(self.agent.action_dim) - 1).numpy()
-        return self.agent.act(as_batch(observation).to(self.device))[0].cpu().numpy()
+        return self.agent.act(as_batch(observation))[0].numpy()
 
     def act_deterministically(self, observation: Tensor) -> Tensor:
         """Centre of the policy at each observation."""
-        return self.agent.act(observation.to(self.device), deterministic=True).cpu()
+        return self.agent.act(observation, deterministic=True)
 
     def store(self, step: EnvironmentStep) -> None:
         """Keep a step in replay."""

@@ -1,6 +1,7 @@
 """A run in progress: its parts, opened together, saved together, closed together."""
 
 import math
+import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -112,6 +113,7 @@ class Run:
             "prior": settings.prior,
             "total_steps": self.history.step,
             **self.history.summary(num_cells(self.environment)),
+            "peak_memory_megabytes": peak_memory_megabytes(),
             "versions": {
                 name: version(name) for name in ("deep-curiosity", "torch", "gymnasium", "mujoco")
             },
@@ -179,6 +181,16 @@ def continued(asked: Settings, own: Settings) -> Settings:
                 f"got {value!r}."
             )
     return replace(own, total_steps=max(asked.total_steps, own.total_steps))
+
+
+def peak_memory_megabytes() -> float | None:
+    """Largest resident memory of this process so far; `None` where the system does not tell."""
+    try:
+        import resource
+    except ImportError:  # Windows
+        return None
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / (2**20 if sys.platform == "darwin" else 2**10)
 
 
 def _restore(folder: Path, learner: Learner, collector: Collector) -> History:

@@ -78,8 +78,6 @@ class Settings:
     """Steps from one checkpoint to the next; there is always one at the end."""
     threads: int = 1
     """CPU threads of torch; two are often slower than one for networks of this size."""
-    device: str = "cpu"
-    """Where networks and replay live."""
 
     def __post_init__(self) -> None:
         """Reject what no run could be made of.

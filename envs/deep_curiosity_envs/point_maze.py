@@ -94,12 +94,12 @@ def maze_model() -> mujoco.MjModel:
 
 
 class PointMaze(MujocoTask):
-    """Push a point through an S of three corridors, from one corner to the opposite one.
+    """Push a point through an S of three corridors, from its upper end to past the second bend.
 
     The point starts at rest in the top left corner. Every step in the goal, in the bottom left
-    corner behind both walls, pays one; nothing else pays. At full force the way
-    takes a third of an episode, and random pushes do not get there. Every `info` holds `cell`, the index
-    in `range(num_cells)` of the cell the point is in, numbered by distance from the start.
+    corner behind both walls, pays one; nothing else pays. At full force the way takes a third of
+    an episode, and random pushes do not get there. Every `info` holds `cell`, the index in
+    `range(num_cells)` of the cell the point is in, numbered by distance from the start.
 
     Observation: position in half arenas (1 m) to the right and up, and velocity in m/s.
 
