@@ -30,12 +30,8 @@ def train(settings: Settings, *, show_progress: bool = True) -> dict[str, Any]:
     """
     # 1. Initialise policy, values, model and replay, or restore them
     with open_run(settings) as run, catch_interruption() as interruption:
-        settings, learner, collector, history = (
-            run.settings,
-            run.learner,
-            run.collector,
-            run.history,
-        )
+        settings, history = run.settings, run.history
+        learner, collector = run.learner, run.collector
         bar = tqdm(total=settings.total_steps, initial=history.step, disable=not show_progress)
 
         # 2. Repeat at every time step
