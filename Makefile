@@ -33,6 +33,7 @@ lint: setup  ## ruff and mypy
 
 figures: setup  ## the studies behind the README, about an hour on 2 cores
 	$(BIN)/python scripts/study.py --study sparse
+	$(BIN)/python scripts/study.py --study control
 	$(BIN)/python scripts/study.py --study mountain_car
 	$(BIN)/python scripts/study.py --study dense
 

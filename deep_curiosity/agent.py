@@ -22,6 +22,7 @@ from deep_curiosity.losses import (
 from deep_curiosity.networks import frozen
 from deep_curiosity.transitions import Transition, check_batch
 
+SPREAD_DECAY = 0.99  # of the running spreads of the values, for each update
 NUM_PRIOR_DRAWS = 256  # for the reported divergence of the prior from uniform
 RATE_PER_ACTION_DIM = {
     "uniform": 1 + math.log(2),  # nats from uniform: soft actor-critic's target entropy of -1
@@ -47,6 +48,9 @@ class CuriousActorCritic(nn.Module):
         curiosity_discount: Of the bonus, per step. 0 is the paper's equation as written: the actor
             climbs the bonus itself, differentiated through the model, and no critic learns it.
         hunger: Weight of the extrinsic value, alpha.
+        yielding: Let curiosity yield to reward: its value is weighed by the ratio of the spreads
+            of `Q_D` and `Q` over replay, at most 1. While no state is worth more than another,
+            curiosity has its full weight; where reward tells states apart, it fades.
         prior: `"uniform"` for soft actor-critic's flat prior, `"learned"` for the action marginal.
         temperature: Price of a nat, lambda; the initial one where it is tuned.
         tune_temperature: Adjust the temperature to hold `target_information_rate`, the dual (10).
@@ -68,6 +72,7 @@ class CuriousActorCritic(nn.Module):
 
     _hunger: Tensor
     discounts: Tensor
+    spreads: Tensor
     prior: FlatPrior | ActionMarginal
 
     def __init__(
@@ -80,6 +85,7 @@ class CuriousActorCritic(nn.Module):
         curiosity: bool = True,
         curiosity_discount: float = 0.97,
         hunger: float = 1.0,
+        yielding: bool = False,
         prior: Literal["uniform", "learned"] = "uniform",
         temperature: float = 1.0,
         tune_temperature: bool = True,
@@ -99,6 +105,7 @@ class CuriousActorCritic(nn.Module):
         self.observation_dim = observation_dim
         self.action_dim = action_dim
         self.curiosity = curiosity
+        self.yielding = yielding
         self.tune_temperature = tune_temperature
         self.soft_backup = prior == "uniform" if soft_backup is None else soft_backup
         if target_information_rate is None:
@@ -121,6 +128,7 @@ class CuriousActorCritic(nn.Module):
         self.log_temperature = nn.Parameter(torch.zeros(()), requires_grad=tune_temperature)
         self.register_buffer("_hunger", torch.zeros(()))
         self.register_buffer("discounts", torch.tensor(discounts).unsqueeze(-1))  # pairs 1
+        self.register_buffer("spreads", torch.zeros(len(discounts)))  # of each value over replay
         self.temperature = temperature
         self.hunger = hunger
         self.optimizers = {
@@ -149,6 +157,14 @@ class CuriousActorCritic(nn.Module):
         _check_positive("temperature", value)
         with torch.no_grad():
             self.log_temperature.fill_(math.log(value))
+
+    @property
+    def curiosity_share(self) -> Tensor:
+        """Weight of the curiosity value in the actor: 1, or less where curiosity yields."""
+        if not (self.yielding and self._has_curiosity_critic):
+            return torch.ones_like(self._hunger)
+        extrinsic, curious = self.spreads
+        return (curious / extrinsic.clamp(min=torch.finfo(extrinsic.dtype).tiny)).clamp(max=1.0)
 
     @torch.no_grad()
     def act(
@@ -190,21 +206,25 @@ class CuriousActorCritic(nn.Module):
     @torch.no_grad()
     def metrics(self) -> dict[str, Tensor]:
         """What is too dear for every update: how far a learned prior is from uniform, in nats."""
+        metrics = {"curiosity_share": self.curiosity_share}
         if isinstance(self.prior, FlatPrior):
-            return {}
+            return metrics
         generator = torch.Generator().manual_seed(0)  # leaves the global stream where it is
         noise = torch.randn(NUM_PRIOR_DRAWS, self.action_dim, generator=generator)
-        return {"prior_kl_to_uniform": self.prior.kl_to_uniform(noise.to(self.log_temperature))}
+        kl = self.prior.kl_to_uniform(noise.to(self.log_temperature))
+        return metrics | {"prior_kl_to_uniform": kl}
 
     def _update_critics(self, transition: Transition, bonus: Bonus | None) -> dict[str, Tensor]:
         value = self.critics(transition.observation, transition.action)  # pairs 2 batch
         target = self._targets(transition, bonus)  # pairs batch
         loss = critic_loss(value, target.unsqueeze(1))
         self._step("critics", loss)
+        value = value.detach()
+        self.spreads.lerp_(value.mean(1).std(-1), 1 - SPREAD_DECAY)
         return {
             "critic_loss": loss.detach(),
-            "value": value.detach()[0].mean(),
-            "curiosity_value": value.detach()[1:].sum(0).mean(),
+            "value": value[0].mean(),
+            "curiosity_value": value[1:].sum(0).mean(),
         }
 
     @torch.no_grad()
@@ -257,7 +277,7 @@ class CuriousActorCritic(nn.Module):
         with frozen(self.critics):
             value = self.critics.lower(observation, action)
         if self._has_curiosity_critic:
-            return value[0], value[1]
+            return value[0], self.curiosity_share * value[1]
         return value[0], 0.0 if bonus is None else bonus(observation, action)
 
     def _update_prior(self, pre_action: Tensor) -> dict[str, Tensor]:

@@ -22,21 +22,19 @@ class Study:
 SMALL = Settings(total_steps=16_000, hidden_dim=64, log_interval=1_000, evaluation_interval=1_000)
 CURIOSITY = {"curiosity": {}}
 PLAIN = {"plain SAC": {"bonus": "none"}}
-STUDIES = {
-    "sparse": Study(
-        [
-            # 200 steps that pay at most 1 each: no return is above 200, and half of that is asked
-            Task(
-                "PendulumSwingup",
-                replace(SMALL, env_id="PendulumSwingup", env_kwargs={"action_cost": 0.1}),
-                solved_return=100.0,
-            ),
-            # half of the 203 that the tests' scripted walk along the shortest way earns
-            Task("PointMaze", replace(SMALL, env_id="PointMaze"), solved_return=101.5),
-        ],
-        CURIOSITY | PLAIN | {"constant bonus": {"bonus": "constant"}},
-        seeds=5,
+SPARSE = [
+    # 200 steps that pay at most 1 each: no return is above 200, and half of that is asked
+    Task(
+        "PendulumSwingup",
+        replace(SMALL, env_id="PendulumSwingup", env_kwargs={"action_cost": 0.1}),
+        solved_return=100.0,
     ),
+    # half of the 203 that the tests' scripted walk along the shortest way earns
+    Task("PointMaze", replace(SMALL, env_id="PointMaze"), solved_return=101.5),
+]
+STUDIES = {
+    "sparse": Study(SPARSE, CURIOSITY | PLAIN, seeds=5),
+    "control": Study(SPARSE, {"constant bonus": {"bonus": "constant"}}, seeds=3),
     "mountain_car": Study(
         [
             Task(
@@ -56,7 +54,12 @@ STUDIES = {
                 solved_return=1_000.0,
             )
         ],
-        CURIOSITY | PLAIN | {"curiosity, learned prior": {"prior": "learned"}},
+        CURIOSITY
+        | PLAIN
+        | {
+            "curiosity, learned prior": {"prior": "learned"},
+            "curiosity, fixed weight": {"yielding": False},
+        },
         seeds=3,
     ),
 }
@@ -66,8 +69,9 @@ STUDIES = {
 class Args:
     """What to study, and where."""
 
-    study: Literal["sparse", "mountain_car", "dense"] = "sparse"
-    """PendulumSwingup and PointMaze; MountainCarContinuous-v0; HalfCheetah-v5."""
+    study: Literal["sparse", "control", "mountain_car", "dense"] = "sparse"
+    """PendulumSwingup and PointMaze; the same with a constant for a bonus;
+    MountainCarContinuous-v0; HalfCheetah-v5."""
     seeds: int | None = None
     """Seeds of each agent on each task; by default as many as the study is documented with."""
     runs: Path = Path("runs/study")

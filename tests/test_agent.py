@@ -306,6 +306,35 @@ def test_hunger_and_temperature_change_the_actor_loss_as_the_formula_says(
     expected = temperature * cost - hunger * value[0] - value[1]
     assert metrics["policy_loss"].item() == pytest.approx(expected.item(), abs=1e-6)
 
+@pytest.mark.parametrize(("spreads", "share"), [((4.0, 1.0), 0.25), ((1.0, 4.0), 1.0)])
+def test_curiosity_yields_by_the_ratio_of_spreads_and_never_grows(spreads, share):
+    agent = small_agent(yielding=True)
+    agent.spreads.copy_(torch.tensor(spreads))
+    assert agent.curiosity_share == share
+    assert agent.metrics()["curiosity_share"] == share
+
+
+def test_what_yields_is_the_curiosity_value_in_the_actor():
+    agent, batch = small_agent(yielding=True), random_transition()
+    agent.spreads.copy_(torch.tensor([4.0, 1.0]))
+    value, curiosity_value = agent._values(batch.observation, batch.action, None)
+    lower = agent.critics.lower(batch.observation, batch.action)
+    torch.testing.assert_close((value, curiosity_value), (lower[0], 0.25 * lower[1]))
+
+
+def test_curiosity_does_not_yield_unless_told_to():
+    agent = small_agent()
+    agent.spreads.copy_(torch.tensor([4.0, 1.0]))
+    assert agent.curiosity_share == 1
+
+
+def test_spreads_follow_the_values_over_the_batch():
+    agent, batch = small_agent(yielding=True), random_transition()
+    value = agent.critics(batch.observation, batch.action).detach()
+    agent.update(batch, ConstantBonus(1.0))
+    expected = 0.01 * value.mean(1).std(-1)
+    torch.testing.assert_close(agent.spreads, expected)
+
 
 def test_with_zero_discount_the_actor_climbs_the_bonus_itself(noise):
     agent = small_agent(curiosity_discount=0.0).double()

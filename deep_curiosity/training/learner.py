@@ -108,6 +108,7 @@ def make_agent(settings: Settings, observation_dim: int, action_dim: int) -> Cur
         curiosity=settings.bonus != "none",
         curiosity_discount=settings.curiosity_discount,
         hunger=settings.hunger,
+        yielding=settings.yielding,
         prior=settings.prior,
         temperature=settings.temperature,
         tune_temperature=settings.tune_temperature,

@@ -31,6 +31,8 @@ class Settings:
     """Discount of the bonus per step; 0 climbs the bonus itself, as the paper writes it."""
     hunger: float = 1.0
     """Weight of the extrinsic value, alpha."""
+    yielding: bool = True
+    """Let curiosity fade as reward comes to tell states apart."""
     prior: Literal["uniform", "learned"] = "uniform"
     """Action prior: flat as in soft actor-critic, or the learned action marginal."""
     temperature: float = 0.02

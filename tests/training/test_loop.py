@@ -212,6 +212,18 @@ def test_every_setting_of_learning_changes_what_is_learned(tiny, tmp_path, chang
     assert weights[0].shape != weights[1].shape or not torch.equal(*weights)
 
 
+def test_a_curiosity_that_does_not_yield_learns_otherwise(tiny, tmp_path):
+    faint = replace(tiny, bonus_weight=1e-3)
+    train(faint, show_progress=False)
+    train(replace(faint, yielding=False, out=tmp_path / "changed"), show_progress=False)
+    assert float(rows(tiny.out)[-1]["agent/curiosity_share"]) < 1
+    assert float(rows(tmp_path / "changed")[-1]["agent/curiosity_share"]) == 1
+    assert (
+        rows(tiny.out)[-1]["agent/policy_loss"]
+        != rows(tmp_path / "changed")[-1]["agent/policy_loss"]
+    )
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
