@@ -8,9 +8,10 @@ OUT ?= runs/pendulum
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
 
-setup: .venv/.ready  ## create .venv with the CPU build of torch and this package, editable
+setup: .venv/.ready  ## create .venv with torch and this package, editable: some minutes, 2 GB
 
 .venv/.ready: pyproject.toml
+	@echo "setting up .venv, some minutes"
 	$(PYTHON) -m venv --clear .venv
 	$(BIN)/python -m pip install --quiet torch==2.13.0
 	$(BIN)/python -m pip install --quiet --editable ".[dev]"

@@ -20,7 +20,7 @@ from deep_curiosity.losses import (
     temperature_loss,
 )
 from deep_curiosity.networks import frozen
-from deep_curiosity.transitions import Transition, check_batch
+from deep_curiosity.transitions import Transition, check_batch, check_transition
 
 SPREAD_DECAY = 0.99  # of the running spreads of the values, for each update
 NUM_PRIOR_DRAWS = 256  # for the reported divergence of the prior from uniform
@@ -189,13 +189,17 @@ class CuriousActorCritic(nn.Module):
             What to log: detached 0-d tensors, information in nats.
 
         Raises:
-            ValueError: If a bonus is given to an agent without curiosity, or not to a curious one.
+            TypeError: If a field of the transition has the wrong kind.
+            ValueError: If a bonus is given to an agent without curiosity, or not to a curious one,
+                or a field of the transition has the wrong shape or holds NaN or infinity.
         """
         if self.curiosity != (bonus is not None):
             raise ValueError(
                 "`bonus` must be given if and only if the agent has `curiosity`, "
                 f"got {bonus!r} with curiosity={self.curiosity}."
             )
+        dtype = self.log_temperature.dtype
+        check_transition(transition, self.observation_dim, self.action_dim, dtype)
         metrics = self._update_critics(transition, bonus)
         pre_action, information_cost, actor_metrics = self._update_actor(transition, bonus)
         metrics |= actor_metrics | self._update_prior(pre_action)
@@ -206,7 +210,7 @@ class CuriousActorCritic(nn.Module):
     @torch.no_grad()
     def metrics(self) -> dict[str, Tensor]:
         """What is too dear for every update: how far a learned prior is from uniform, in nats."""
-        metrics = {"curiosity_share": self.curiosity_share}
+        metrics = {"curiosity_share": self.curiosity_share} if self._has_curiosity_critic else {}
         if isinstance(self.prior, FlatPrior):
             return metrics
         generator = torch.Generator().manual_seed(0)  # leaves the global stream where it is
@@ -220,7 +224,7 @@ class CuriousActorCritic(nn.Module):
         loss = critic_loss(value, target.unsqueeze(1))
         self._step("critics", loss)
         value = value.detach()
-        self.spreads.lerp_(value.mean(1).std(-1), 1 - SPREAD_DECAY)
+        self.spreads.lerp_(value.mean(1).std(-1, correction=0), 1 - SPREAD_DECAY)
         return {
             "critic_loss": loss.detach(),
             "value": value[0].mean(),

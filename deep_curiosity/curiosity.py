@@ -137,8 +137,13 @@ class CuriosityBonus(Bonus):
         return self.marginal.kl_upper(*prediction).mean(0)
 
     def loss(self, transition: Transition) -> Float[Tensor, ""]:
-        """Negative log-likelihood of the ensemble, in nats; see `DynamicsEnsemble.loss`."""
-        self._check_pairs(transition.observation, transition.action)
+        """Negative log-likelihood of the ensemble, in nats; see `DynamicsEnsemble.loss`.
+
+        Raises:
+            TypeError: If a field has the wrong kind.
+            ValueError: If a field has the wrong shape or holds NaN or infinity.
+        """
+        self._check_transition(transition)
         return self.dynamics.loss(transition)
 
     @torch.no_grad()

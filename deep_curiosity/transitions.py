@@ -37,6 +37,20 @@ def check_batch(name: str, value: Tensor, dim: int, dtype: torch.dtype = torch.f
         raise ValueError(f"`{name}` must have shape (batch, {dim}), got {tuple(value.shape)}.")
 
 
+def check_scalars(name: str, value: Tensor, dtype: torch.dtype) -> None:
+    """Reject what is not one number for each transition.
+
+    Raises:
+        TypeError: If `value` is no tensor or has another dtype.
+        ValueError: If the shape is not `(batch,)`.
+    """
+    kind = value.dtype if isinstance(value, Tensor) else type(value).__name__
+    if kind != dtype:
+        raise TypeError(f"`{name}` must be a tensor of {dtype}, got {kind}.")
+    if value.ndim != 1:
+        raise ValueError(f"`{name}` must have shape (batch,), got {tuple(value.shape)}.")
+
+
 def check_finite(name: str, value: Tensor) -> None:
     """Reject NaN and infinity, naming the first row that has one.
 
@@ -69,6 +83,10 @@ def check_transition(
         value = getattr(transition, name)
         check_batch(name, value, dim, dtype)
         check_finite(name, value)
+    check_scalars("reward", transition.reward, dtype)
+    check_finite("reward", transition.reward)
+    check_scalars("terminated", transition.terminated, torch.bool)
+    check_scalars("truncated", transition.truncated, torch.bool)
     num_rows = {name: getattr(transition, name).shape[0] for name in transition._fields}
     if len(set(num_rows.values())) != 1 or num_rows["observation"] == 0:
         raise ValueError(f"all fields must share one batch size of at least 1, got {num_rows}.")

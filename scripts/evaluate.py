@@ -34,7 +34,7 @@ def main() -> None:
     args = tyro.cli(Args, description=__doc__)
     try:
         play(args)
-    except (FileNotFoundError, ImportError, RuntimeError, ValueError) as error:
+    except (ImportError, OSError, RuntimeError, ValueError) as error:
         sys.exit(f"error: {error}")
 
 

@@ -124,7 +124,7 @@ def clever_random_page(args: Args) -> dict[str, float]:
     draw_clever_random(args.out, starts, ends, courses)
     splits, bits = np.array([(row[2], row[4]) for row in rows]).T
     return {
-        "least_bits": bits.min(),
+        "shortfall": 1 - bits.min(),
         "least_split": splits.min(),
         "largest_split": splits.max(),
         "least_extreme": min(row[3] for row in rows),
@@ -181,7 +181,7 @@ def draw_clever_random(out: Path, starts: list, ends: dict, courses: dict) -> No
     splits.set(ylim=(0, 1.12), xlim=(-0.8, 2.5))
     splits.set_title("(21): every split is a fixed point")
 
-    for (temperature, damping), color in zip(courses, (ORANGE, None, GREY, BLUE), strict=True):
+    for (temperature, damping), color in zip(courses, (ORANGE, GREY, None, BLUE), strict=True):
         if color is not None:
             update, marginal = np.array(courses[temperature, damping])[:30, :2].T
             kind = "as written" if damping == 1 else "damped"
@@ -225,7 +225,7 @@ def draw_reliable(out: Path, world: FiniteMDP, table: list[tuple]) -> None:
     landscape.plot(stay, fixed, color=GREY, ls="--", label="states held at one half")
     for _, discount, share, _, bits in table:
         if discount in (0.0, 0.5, 0.9, 1.0):
-            shift = {0.9: -9, 1.0: 9}.get(discount, 0)
+            shift = {0.5: -9, 0.9: -4, 1.0: 9}.get(discount, 0)
             landscape.plot(share, bits, "o", color=ORANGE, ms=5)
             landscape.annotate(
                 f"{discount:g}", (share, bits), (shift, 8), textcoords="offset points", ha="center"
@@ -427,7 +427,7 @@ Two states; the action, in [0, 1] on a grid of 101, is the probability to flip. 
 | | the paper prints | here |
 | --- | --- | --- |
 | actions in use | only 0 and 1 | only 0 and 1: at least {least_extreme:.6f} of the mass |
-| I({{X, A}}; X') | the largest possible | {least_bits:.6f} bits or more, at most 1 is possible |
+| I({{X, A}}; X') | the largest possible | 1 bit, the largest possible, to within {shortfall:.0e} |
 | split between STAY and FLIP, limit (22) | 1/2 each | 1/2 each, ties shared equally |
 | split between STAY and FLIP, (21) | 1/2 each, "unique" | any: {least_split:.2f} to {largest_split:.2f} from 25 random starts at each of 3 temperatures |
 | iterating (23)-(25) as written | "convergence is guaranteed" | a cycle of two below lambda = 1; damped, it converges |
@@ -442,11 +442,12 @@ Where the text differs, and why:
   costs no information, and the prior keeps whatever split there is. All carry the same 1 bit.
 - **Not guaranteed to converge.** All states rush to the next state that is rare at the moment,
   which makes the other one rare. At lambda = 0.3 the tenth policy carries {carried:.3f} bits, while the
-  mix of new policy and old marginal that the iteration looks at reports {reported:.1f} bits, growing at
-  every update, where a binary state holds 1. The multiplier of a small imbalance is -1 / lambda: above 1 nat the iteration
-  as written settles. Damped in log space with eta = lambda / (1 + lambda) it never
-  goes down, for any world: in relative entropy the objective of one time step is concave with
-  curvature at most 1 + lambda, and this is the mirror step that such a curvature allows.
+  mix of new policy and old marginal that the iteration looks at reports {reported:.1f} bits, growing
+  at every update, where a binary state holds 1. A small imbalance is multiplied by -1 / lambda: at
+  0.9 nats the iteration as written cycles, at 1.1 it settles. Damped in log space with
+  eta = lambda / (1 + lambda) it never goes down, for any world: in relative entropy the objective
+  of one time step is concave with curvature at most 1 + lambda, and this is the mirror step that
+  such a curvature allows.
 
 Tables: [ends of the iteration](clever_random.csv), [the course of the iteration](clever_random_courses.csv).
 
@@ -465,7 +466,7 @@ State 0 obeys STAY and FLIP; state 1 leads anywhere with one half, whatever the 
 | --- | --- | --- | --- |
 {reliable_rows}
 
-(lambda = 0.1 bit; every other temperature gives the same, see the [table](reliable_unreliable.csv).)
+(lambda = 0.1 bit; 0.5 and 2 nats give the same digits, see the [table](reliable_unreliable.csv).)
 
 ![Reliable and unreliable state](reliable_unreliable.png)
 
@@ -483,8 +484,9 @@ Where the text differs, and why:
 ## Return for information
 
 The dual problem (10) in a random world of 8 states and 4 actions: the largest return for a given
-I(A; X), with the optimal values and the states of a random walk. At 1/2 bit it is {value:.4f}, at the slope {temperature:.4f} per nat;
-the best constant action returns {constant:.4f} at 0 bits, the best policy {free:.4f} at {free_rate:.3f} bits.
+I(A; X), with the optimal values and the states of a random walk. At 1/2 bit it is {value:.4f}, with
+slope {temperature:.4f} per nat; the best constant action returns {constant:.4f} at 0 bits, the best
+policy {free:.4f} at {free_rate:.3f} bits.
 Boltzmann exploration, which prices entropy instead, pays more information for the same return.
 
 ![Rate and return](rate_return.png)

@@ -12,8 +12,10 @@ def main() -> None:
     settings = tyro.cli(Settings, description=__doc__)
     try:
         summary = train(settings)
-    except (FileExistsError, FileNotFoundError, ImportError, ValueError) as error:
+    except (ImportError, OSError, RuntimeError, ValueError) as error:
         sys.exit(f"error: {error}")
+    except KeyboardInterrupt:
+        sys.exit(130)
     folder = settings.resume or settings.out
     print(f"evaluation return {summary['evaluation_return']}, records in {folder}")
 

@@ -306,6 +306,7 @@ def test_hunger_and_temperature_change_the_actor_loss_as_the_formula_says(
     expected = temperature * cost - hunger * value[0] - value[1]
     assert metrics["policy_loss"].item() == pytest.approx(expected.item(), abs=1e-6)
 
+
 @pytest.mark.parametrize(("spreads", "share"), [((4.0, 1.0), 0.25), ((1.0, 4.0), 1.0)])
 def test_curiosity_yields_by_the_ratio_of_spreads_and_never_grows(spreads, share):
     agent = small_agent(yielding=True)
@@ -332,7 +333,7 @@ def test_spreads_follow_the_values_over_the_batch():
     agent, batch = small_agent(yielding=True), random_transition()
     value = agent.critics(batch.observation, batch.action).detach()
     agent.update(batch, ConstantBonus(1.0))
-    expected = 0.01 * value.mean(1).std(-1)
+    expected = 0.01 * value.mean(1).std(-1, correction=0)
     torch.testing.assert_close(agent.spreads, expected)
 
 

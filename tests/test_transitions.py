@@ -20,6 +20,22 @@ def test_a_good_batch_passes():
     assert check_transition(transition(), 3, 2) is None
 
 
+@pytest.mark.parametrize("name", ["reward", "terminated", "truncated"])
+def test_a_column_where_a_scalar_for_each_transition_belongs_is_rejected(name):
+    batch = transition()
+    column = batch._replace(**{name: getattr(batch, name).unsqueeze(-1)})
+    with pytest.raises(ValueError, match=rf"`{name}` must have shape \(batch,\), got \(4, 1\)"):
+        check_transition(column, 3, 2)
+
+
+def test_a_flag_that_is_no_bool_and_a_reward_that_is_nan_are_rejected():
+    batch = transition()
+    with pytest.raises(TypeError, match=r"`terminated` must be a tensor of torch\.bool"):
+        check_transition(batch._replace(terminated=torch.zeros(4)), 3, 2)
+    with pytest.raises(ValueError, match="`reward` must be finite"):
+        check_transition(batch._replace(reward=torch.full((4,), float("nan"))), 3, 2)
+
+
 def test_double_precision_is_taken_where_the_networks_have_it():
     value = torch.zeros(4, 3, dtype=torch.float64)
     assert check_batch("observation", value, 3, torch.float64) is None

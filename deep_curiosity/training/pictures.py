@@ -55,7 +55,7 @@ def _draw_returns(
         axes.plot(np.cumsum(lengths), returns, ".", alpha=0.4, label="training episode")
     if columns:
         evaluation = columns["eval/return"]
-        axes.plot(columns["step"], evaluation, "-", color="black", label="evaluation")
+        axes.plot(columns["step"], evaluation, ".-", color="black", label="evaluation")
     if episodes or columns:
         axes.legend(fontsize=8)
 
@@ -65,7 +65,7 @@ def _draw_bonus(axes: Axes, columns: dict[str, np.ndarray]) -> None:
     axes.set(title="bonus and its parts", xlabel="environment step", ylabel="nats")
     drawn = [name for name in BONUS_PARTS if name in columns]
     for name in drawn:
-        axes.plot(columns["step"], columns[name], label=BONUS_PARTS[name])
+        axes.plot(columns["step"], columns[name], ".-", label=BONUS_PARTS[name])
     if drawn:
         axes.set_ylim(bottom=0)
         axes.legend(fontsize=8)

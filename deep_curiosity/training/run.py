@@ -148,18 +148,20 @@ def open_run(settings: Settings) -> Iterator[Run]:
         history = History()
         open_folder(settings)
     records = Records(settings.out, start=history.step)
-    started = time.perf_counter() - history.wall_seconds
+    run = Run(
+        settings,
+        environment,
+        evaluation_environment,
+        learner,
+        collector,
+        history,
+        records,
+        started=time.perf_counter() - history.wall_seconds,
+    )
     try:
-        yield Run(
-            settings,
-            environment,
-            evaluation_environment,
-            learner,
-            collector,
-            history,
-            records,
-            started,
-        )
+        if not resuming:
+            run.save()  # so that a run that fails at once can still be continued
+        yield run
     finally:
         records.close()
         environment.close()
@@ -167,7 +169,7 @@ def open_run(settings: Settings) -> Iterator[Run]:
 
 
 def continued(asked: Settings, own: Settings) -> Settings:
-    """Settings with which a run goes on: its own, up to the larger number of steps.
+    """Settings with which a run goes on: its own, but for `total_steps` where that is asked for.
 
     Raises:
         ValueError: If a setting is asked for that the run does not have.
@@ -180,7 +182,8 @@ def continued(asked: Settings, own: Settings) -> Settings:
                 f"`{name}` must stay as the run in {own.out} has it, {getattr(own, name)!r}, "
                 f"got {value!r}."
             )
-    return replace(own, total_steps=max(asked.total_steps, own.total_steps))
+    given = asked.total_steps != default.total_steps
+    return replace(own, total_steps=asked.total_steps if given else own.total_steps)
 
 
 def peak_memory_megabytes() -> float | None:

@@ -15,7 +15,8 @@ class Settings:
     env_kwargs: dict[str, float] = field(default_factory=dict)
     """Keyword arguments of the environment, such as: action_cost 0.1"""
     total_steps: int = 20_000
-    """Environment steps, over all resumed parts together."""
+    """Environment steps, over all resumed parts together; a resumed run keeps its own number
+    unless another is given."""
     seed: int = 0
     """Seeds torch, the environments and the replay."""
     out: Path = Path("runs/latest")

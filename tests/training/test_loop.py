@@ -11,7 +11,7 @@ import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from deep_curiosity.training import loop, train
+from deep_curiosity.training import Settings, loop, train
 from deep_curiosity.training.checkpoint import NEWEST, load_checkpoint
 from deep_curiosity.training.collection import Collector
 from deep_curiosity.training.learner import Learner
@@ -112,6 +112,19 @@ def test_a_folder_that_holds_a_run_is_left_alone(tiny):
     with pytest.raises(FileExistsError, match=r"`out` must not hold a run already.*--resume"):
         train(replace(tiny, seed=5), show_progress=False)
     assert (tiny.out / "config.json").read_text() == before
+
+
+def test_a_run_that_fails_at_once_can_be_continued(tiny, monkeypatch):
+    monkeypatch.setattr(Collector, "step", lambda self, action: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        train(tiny, show_progress=False)
+    monkeypatch.undo()
+    assert train(replace(tiny, resume=tiny.out), show_progress=False)["total_steps"] == 60
+
+
+def test_a_resumed_run_keeps_its_number_of_steps_unless_another_is_given(tiny):
+    train(tiny, show_progress=False)
+    assert train(Settings(resume=tiny.out), show_progress=False)["total_steps"] == 60
 
 
 def test_a_resumed_run_keeps_its_own_settings(tiny):
