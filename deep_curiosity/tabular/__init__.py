@@ -1,0 +1,1 @@
+"""The paper's exact algorithm on finite worlds, equation by equation, in NumPy and in nats."""

@@ -1,0 +1,155 @@
+"""The algorithm of section 4, with all its variants as parts to choose."""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from functools import partial
+
+import numpy as np
+from jaxtyping import Float
+
+from deep_curiosity.tabular.checks import check_at_least
+from deep_curiosity.tabular.estimators import ActionValues, Experience, Model, StateEstimate
+from deep_curiosity.tabular.iteration import Solution
+from deep_curiosity.tabular.policies import uniform_log_policy
+from deep_curiosity.tabular.solvers import anneal, solve_time_step
+from deep_curiosity.tabular.worlds import FiniteMDP
+
+
+class Learner(ABC):
+    """What lives in a world: it acts and it sees what comes of it."""
+
+    @abstractmethod
+    def act(self, state: int, rng: np.random.Generator) -> int:
+        """Chooses an action."""
+
+    @abstractmethod
+    def observe(self, experience: Experience) -> None:
+        """Learns from one step."""
+
+
+def draw(probability: Float[np.ndarray, " outcomes"], rng: np.random.Generator) -> int:
+    """Draws the index of an outcome."""
+    cumulative = np.cumsum(probability)
+    return int(np.searchsorted(cumulative, rng.random() * cumulative[-1], side="right"))
+
+
+def run(
+    learner: Learner, world: FiniteMDP, num_steps: int, rng: np.random.Generator
+) -> list[Experience]:
+    """Lets a learner live in a world and returns what happened."""
+    state, history = draw(world.start, rng), []
+    for _ in range(num_steps):
+        action = learner.act(state, rng)
+        next_state = draw(world.transition[state, action], rng)
+        reward = float(world.reward[state, action])
+        history.append(Experience(state, action, reward, next_state))
+        learner.observe(history[-1])
+        state = next_state
+    return history
+
+
+class FixedPolicy(Learner):
+    """Follows one policy for ever, to gather a batch or to be compared with.
+
+    Args:
+        policy: What to follow.
+    """
+
+    def __init__(self, policy: Float[np.ndarray, "states actions"]) -> None:
+        self.policy = policy
+
+    def act(self, state: int, rng: np.random.Generator) -> int:
+        """Draws an action."""
+        return draw(self.policy[state], rng)
+
+    def observe(self, experience: Experience) -> None:
+        """Learns nothing."""
+
+
+class CuriousAgent(Learner):
+    """The curious agent: solves (21) with (20) at every time step and acts on it.
+
+    Exact models, propagated states and exact values give the version that is exact throughout;
+    every part may be replaced by its estimate from samples.
+
+    Args:
+        model: Knowledge of the world.
+        states: Estimate of p_t(x).
+        values: Estimate of Q(x, a).
+        temperature: The price lambda(t); `decreasing` with a least value has a lambda_min.
+        hunger: The weight alpha(t) of the reward, one number or one for each state.
+        curiosity_discount: Discount of curiosity, 0 for the paper as written.
+        annealing: Multiples of lambda(t) to pass through at every time step, the last one 1;
+            falling ones are deterministic annealing.
+        period: Steps between plans; in between the estimates go on learning.
+        only_current_state: Whether a plan changes the policy in the present state only.
+        tolerance: Largest change of a probability that ends a plan.
+        max_iterations: Updates at each temperature after which a plan ends anyway.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        states: StateEstimate,
+        values: ActionValues,
+        *,
+        temperature: Callable[[int], float],
+        hunger: Callable[[int], float | Float[np.ndarray, " states"]],
+        curiosity_discount: float = 0.0,
+        annealing: Sequence[float] = (1.0,),
+        period: int = 1,
+        only_current_state: bool = False,
+        tolerance: float = 1e-4,
+        max_iterations: int = 100,
+    ) -> None:
+        check_at_least("period", period, 1)
+        self.model, self.states, self.values = model, states, values
+        self.temperature, self.hunger, self.annealing = temperature, hunger, annealing
+        self.period, self.only_current_state = period, only_current_state
+        self.solve = partial(
+            solve_time_step,
+            curiosity_discount=curiosity_discount,
+            tolerance=tolerance,
+            max_iterations=max_iterations,
+        )
+        self.step = 0
+        self.log_policy = uniform_log_policy(*model.reward.shape)
+
+    @property
+    def policy(self) -> Float[np.ndarray, "states actions"]:
+        """The present policy."""
+        return np.exp(self.log_policy)
+
+    def plan(self, state: int) -> None:
+        """Steps 2(b) and 2(c): the policy for what is known now."""
+        transition, distribution = self.model.transition, self.states.distribution
+        value = self.values.estimate(self.model, self.policy)
+        weighted_value = np.reshape(self.hunger(self.step), (-1, 1)) * value
+        rows = np.arange(len(value)) == state if self.only_current_state else None
+
+        def solve(log_policy: np.ndarray, temperature: float) -> Solution:
+            return self.solve(
+                transition,
+                log_policy,
+                distribution,
+                weighted_value,
+                temperature=temperature,
+                recomputed=rows,
+            )
+
+        temperature = self.temperature(self.step)
+        temperatures = [factor * temperature for factor in self.annealing]
+        self.log_policy = anneal(solve, self.log_policy, temperatures).log_policy
+
+    def act(self, state: int, rng: np.random.Generator) -> int:
+        """Step 2(d): plans if it is time to, and draws an action."""
+        if self.step % self.period == 0:
+            self.plan(state)
+        return draw(self.policy[state], rng)
+
+    def observe(self, experience: Experience) -> None:
+        """Steps 2(e), 2(f) and 2(a): values, model and states go on by one time step."""
+        self.values.observe(experience)
+        self.model.observe(experience)
+        self.states.observe(experience, self.model.transition, self.policy)
+        self.step += 1

@@ -1,0 +1,108 @@
+"""Repeating an update of a policy: damping in log space, convergence and cycles."""
+
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float
+
+from deep_curiosity.tabular.checks import check_at_least, check_positive, check_range
+from deep_curiosity.tabular.policies import normalize_log
+
+LONGEST_CYCLE = 8  # policies remembered to recognise a cycle
+
+
+@dataclass(frozen=True)
+class Solution:
+    """Where an iteration ended, and how it came there.
+
+    Args:
+        log_policy: Log of the last policy.
+        objective: The objective of every policy on the way, the first and the last included.
+        converged: Whether the last update changed no probability by more than the tolerance.
+        cycle_length: Updates after which the iteration repeats itself, `None` if it does not.
+    """
+
+    log_policy: Float[np.ndarray, "states actions"]
+    objective: Float[np.ndarray, " policies"]
+    converged: bool
+    cycle_length: int | None
+
+    @property
+    def policy(self) -> Float[np.ndarray, "states actions"]:
+        """The last policy."""
+        return np.exp(self.log_policy)
+
+
+def safe_damping(temperature: float) -> float:
+    r"""Largest damping that provably never lowers the objective (16) of one time step.
+
+    Measured by the relative entropy of policies, the curvature of (16) is at most
+    :math:`1 + \lambda`: one from the entropy of the next state, lambda from the coding cost. The
+    mirror ascent step :math:`1 / (1 + \lambda)` that this allows is the update (25) damped with
+    :math:`\eta = \lambda / (1 + \lambda)`. As written, with :math:`\eta = 1`, it may overshoot.
+    """
+    check_positive("temperature", temperature)
+    return temperature / (1 + temperature)
+
+
+def damp(
+    log_policy: Float[np.ndarray, "states actions"],
+    target: Float[np.ndarray, "states actions"],
+    damping: float,
+) -> Float[np.ndarray, "states actions"]:
+    r"""Goes part of the way to a target in log space: :math:`q^{1 - \eta} \pi^\eta`."""
+    if damping == 1:  # an action without any chance would give infinity times zero
+        return target
+    return normalize_log((1 - damping) * log_policy + damping * target)
+
+
+def turns_back(recent: deque[np.ndarray]) -> bool:
+    """Whether the last of three policies undoes part of the step between the first two."""
+    if len(recent) < 3:
+        return False
+    last, middle, first = recent[0], recent[1], recent[2]
+    return float(np.sum((last - middle) * (middle - first))) < 0
+
+
+def iterate(
+    step: Callable[[np.ndarray], tuple[np.ndarray, float]],
+    log_policy: Float[np.ndarray, "states actions"],
+    *,
+    damping: float,
+    halving: bool = False,
+    tolerance: float = 1e-10,
+    max_iterations: int = 20_000,
+) -> Solution:
+    """Repeats an update of the log policy until it settles, cycles or has had its iterations.
+
+    Args:
+        step: From a log policy to the one that the update as written makes of it, and to the
+            objective to trace.
+        log_policy: Where to start.
+        damping: Part of the way to go to the update in log space, 1 for all of it.
+        halving: Whether to halve the damping each time the policy turns back on itself.
+        tolerance: Largest change of a probability that counts as none; it shrinks as the
+            damping does.
+        max_iterations: Number of updates to give up after.
+    """
+    check_range("damping", damping, float(np.nextafter(0, 1)), 1.0)
+    check_positive("tolerance", tolerance)
+    check_at_least("max_iterations", max_iterations, 1)
+    trace, recent = [], deque([np.exp(log_policy)], LONGEST_CYCLE)
+    for _ in range(max_iterations):
+        target, objective = step(log_policy)
+        trace.append(objective)
+        log_policy = damp(log_policy, target, damping)
+        changes = [np.abs(np.exp(log_policy) - policy).max() for policy in recent]
+        recent.appendleft(np.exp(log_policy))
+        if min(changes) <= tolerance:
+            break
+        if halving and turns_back(recent):
+            damping, tolerance = damping / 2, tolerance / 2
+    trace.append(step(log_policy)[1])
+    converged = bool(changes[0] <= tolerance)
+    cycles = not converged and min(changes) <= tolerance
+    cycle_length = int(np.argmin(changes)) + 1 if cycles else None
+    return Solution(log_policy, np.array(trace), converged, cycle_length)

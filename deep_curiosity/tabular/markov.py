@@ -1,0 +1,91 @@
+"""What a policy makes of a world: where it goes (8) and what that is worth (1, 2)."""
+
+import numpy as np
+from jaxtyping import Float
+
+from deep_curiosity.tabular.checks import check_positive, check_range
+from deep_curiosity.tabular.worlds import LARGEST_DISCOUNT
+
+SMALLEST_CHANGE = 1e-15  # states that leak less than this a step count as closed
+
+
+def state_chain(
+    transition: Float[np.ndarray, "states actions next_states"],
+    policy: Float[np.ndarray, "states actions"],
+) -> Float[np.ndarray, "states next_states"]:
+    """Markov chain of the states under a policy."""
+    return np.einsum("xa,xay->xy", policy, transition)
+
+
+def propagate(
+    state_distribution: Float[np.ndarray, " states"],
+    transition: Float[np.ndarray, "states actions next_states"],
+    policy: Float[np.ndarray, "states actions"],
+) -> Float[np.ndarray, " states"]:
+    """State distribution one step later (8): the forward algorithm of section 4."""
+    return state_distribution @ state_chain(transition, policy)
+
+
+def limiting_matrix(
+    chain: Float[np.ndarray, "states next_states"],
+) -> Float[np.ndarray, "states next_states"]:
+    """Share of its life a chain spends in each state, for every state it may start from.
+
+    Squares the lazy chain, which has the same limit and no period, so closed classes and cycles
+    need no special case.
+    """
+    power, change = (np.eye(len(chain)) + chain) / 2, np.inf
+    while change > SMALLEST_CHANGE:
+        squared = power @ power
+        squared /= squared.sum(1, keepdims=True)
+        power, change = squared, np.abs(squared - power).max()
+    return power
+
+
+def stationary_distribution(
+    transition: Float[np.ndarray, "states actions next_states"],
+    policy: Float[np.ndarray, "states actions"],
+    start: Float[np.ndarray, " states"],
+) -> Float[np.ndarray, " states"]:
+    """Long-run state distribution of a policy; `start` matters only if it is not unique."""
+    return start @ limiting_matrix(state_chain(transition, policy))
+
+
+def action_values(
+    transition: Float[np.ndarray, "states actions next_states"],
+    reward: Float[np.ndarray, "states actions"],
+    policy: Float[np.ndarray, "states actions"],
+    discount: float,
+) -> Float[np.ndarray, "states actions"]:
+    """Action values Q of a policy (1), by one linear solve."""
+    check_range("discount", discount, 0.0, LARGEST_DISCOUNT)
+    resolvent = np.eye(len(policy)) - discount * state_chain(transition, policy)
+    value = np.linalg.solve(resolvent, np.einsum("xa,xa->x", policy, reward))
+    return reward + discount * transition @ value
+
+
+def expected_return(
+    state_distribution: Float[np.ndarray, " states"],
+    policy: Float[np.ndarray, "states actions"],
+    action_value: Float[np.ndarray, "states actions"],
+) -> float:
+    """Expected return V (2) of states drawn from a distribution."""
+    return float(np.einsum("x,xa,xa->", state_distribution, policy, action_value))
+
+
+def optimal_action_values(
+    transition: Float[np.ndarray, "states actions next_states"],
+    reward: Float[np.ndarray, "states actions"],
+    discount: float,
+    *,
+    tolerance: float = 1e-10,
+) -> Float[np.ndarray, "states actions"]:
+    """Action values of the best policy, by value iteration to within `tolerance`."""
+    check_range("discount", discount, 0.0, LARGEST_DISCOUNT)
+    check_positive("tolerance", tolerance)
+    action_value, error = reward, np.inf
+    while error > tolerance * (1 - discount):
+        updated = reward + discount * transition @ action_value.max(-1)
+        error = np.abs(updated - action_value).max()
+        action_value = updated
+    return action_value

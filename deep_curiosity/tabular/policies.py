@@ -1,0 +1,79 @@
+"""Policies as formulas: the paper's solutions, their deterministic limits, and plain softmax."""
+
+import numpy as np
+from jaxtyping import Float
+
+from deep_curiosity.tabular.checks import check_positive, check_range
+
+REVIVAL = 1e-3  # uniform share of a revived policy
+TIE_TOLERANCE = 1e-9  # scores are sums of logs, exact to about 1e-13 of their size
+
+
+def normalize_log(
+    log_weight: Float[np.ndarray, "*batch actions"],
+) -> Float[np.ndarray, "*batch actions"]:
+    """Normalises log weights along the last axis."""
+    return log_weight - np.logaddexp.reduce(log_weight, axis=-1, keepdims=True)
+
+
+def uniform_log_policy(num_states: int, num_actions: int) -> Float[np.ndarray, "states actions"]:
+    """Log of the policy that chooses all actions alike."""
+    return np.full((num_states, num_actions), -np.log(num_actions))
+
+
+def random_log_policy(
+    num_states: int, num_actions: int, rng: np.random.Generator
+) -> Float[np.ndarray, "states actions"]:
+    """Log of a policy drawn from a flat Dirichlet in every state."""
+    return np.log(rng.dirichlet(np.ones(num_actions), size=num_states))
+
+
+def revive(log_policy: Float[np.ndarray, "states actions"]) -> Float[np.ndarray, "states actions"]:
+    """Mixes a small uniform share into a policy, so that no action stays dead for ever."""
+    share = np.log(REVIVAL / log_policy.shape[-1])
+    return normalize_log(np.logaddexp(log_policy, share))
+
+
+def information_limited(
+    log_prior: Float[np.ndarray, " actions"],
+    score: Float[np.ndarray, "states actions"],
+    temperature: float,
+) -> Float[np.ndarray, "states actions"]:
+    r"""Log of the policy that is optimal at a price per nat of I(A; X): (13), (21) and (25).
+
+    .. math:: \pi(a | x) \propto p(a) \exp(s(x, a) / \lambda)
+
+    An infinite score wins outright; those that share it are weighted by the prior.
+
+    Args:
+        log_prior: Log of the action marginal.
+        score: Q for (13), D + alpha Q for (21) and (25).
+        temperature: The price lambda.
+    """
+    check_positive("temperature", temperature)
+    infinite = np.isposinf(score).any(-1, keepdims=True)
+    tilt = np.where(infinite, np.where(np.isposinf(score), 0, -np.inf), score / temperature)
+    return normalize_log(log_prior + tilt)
+
+
+def boltzmann(
+    score: Float[np.ndarray, "states actions"], temperature: float
+) -> Float[np.ndarray, "states actions"]:
+    """Log of the policy that is optimal at a price per nat of missing entropy: plain softmax."""
+    check_positive("temperature", temperature)
+    return normalize_log(score / temperature)
+
+
+def greedy(score: Float[np.ndarray, "states actions"]) -> Float[np.ndarray, "states actions"]:
+    """Deterministic limits (15) and (22): the best action, ties shared equally."""
+    best = score.max(-1, keepdims=True)
+    chosen = np.isclose(score, best, rtol=TIE_TOLERANCE, atol=TIE_TOLERANCE)
+    return chosen / chosen.sum(-1, keepdims=True)
+
+
+def epsilon_greedy(
+    score: Float[np.ndarray, "states actions"], epsilon: float
+) -> Float[np.ndarray, "states actions"]:
+    """The best action, or with probability `epsilon` any action."""
+    check_range("epsilon", epsilon, 0.0, 1.0)
+    return (1 - epsilon) * greedy(score) + epsilon / score.shape[-1]

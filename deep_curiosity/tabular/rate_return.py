@@ -1,0 +1,140 @@
+"""The dual problem (10): the largest return at a rate of information, and their whole curve."""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from deep_curiosity.tabular.checks import (
+    check_distribution,
+    check_finite,
+    check_range,
+    check_shape,
+)
+from deep_curiosity.tabular.information import (
+    action_information,
+    kl_divergence,
+    log_action_marginal,
+)
+from deep_curiosity.tabular.iteration import Solution, iterate
+from deep_curiosity.tabular.markov import expected_return
+from deep_curiosity.tabular.policies import greedy, information_limited, uniform_log_policy
+
+NUM_BISECTIONS = 40  # each halves the bracket of log lambda
+RATE_TOLERANCE = 1e-6  # nats below the given rate that end the bisection
+BRACKET = (1e-3, 1e3)  # in spreads of the values: nearly deterministic, and nearly deaf
+
+
+class RatePoint(NamedTuple):
+    """One point of the curve.
+
+    Args:
+        temperature: The price lambda, which is the slope of the curve here.
+        rate: I(A; X), in nats.
+        value: Expected return V.
+        policy: The policy that attains it.
+    """
+
+    temperature: float
+    rate: float
+    value: float
+    policy: Float[np.ndarray, "states actions"]
+
+
+def solve_rate_limited(
+    action_value: Float[np.ndarray, "states actions"],
+    state_distribution: Float[np.ndarray, " states"],
+    temperature: float,
+    *,
+    tolerance: float = 1e-12,
+    max_iterations: int = 20_000,
+) -> Solution:
+    """Solves (13) with (14): the best trade of return for information, Q and p_t held fixed.
+
+    The undamped iteration is the algorithm of Blahut and Arimoto with distortion -Q at slope
+    1 / lambda, which climbs to the maximum of V - lambda I(A; X).
+    """
+    check_finite("action_value", action_value)
+    check_shape("state_distribution", state_distribution, action_value.shape[:1])
+    check_distribution("state_distribution", state_distribution)
+
+    def step(log_policy: np.ndarray) -> tuple[np.ndarray, float]:
+        policy = np.exp(log_policy)
+        log_prior = log_action_marginal(log_policy, state_distribution)
+        value = expected_return(state_distribution, policy, action_value)
+        rate = state_distribution @ kl_divergence(policy, log_prior)
+        target = information_limited(log_prior, action_value, temperature)
+        return target, float(value - temperature * rate)
+
+    return iterate(
+        step,
+        uniform_log_policy(*action_value.shape),
+        damping=1.0,
+        tolerance=tolerance,
+        max_iterations=max_iterations,
+    )
+
+
+def rate_point(
+    action_value: Float[np.ndarray, "states actions"],
+    state_distribution: Float[np.ndarray, " states"],
+    temperature: float,
+) -> RatePoint:
+    """The point of the curve whose slope is `temperature`."""
+    policy = solve_rate_limited(action_value, state_distribution, temperature).policy
+    rate = action_information(policy, state_distribution)
+    value = expected_return(state_distribution, policy, action_value)
+    return RatePoint(temperature, rate, value, policy)
+
+
+def rate_return_curve(
+    action_value: Float[np.ndarray, "states actions"],
+    state_distribution: Float[np.ndarray, " states"],
+    temperatures: Iterable[float],
+) -> list[RatePoint]:
+    """The rate-return curve, one point for each slope: concave, rising to the best return."""
+    return [rate_point(action_value, state_distribution, float(t)) for t in temperatures]
+
+
+def largest_return(
+    action_value: Float[np.ndarray, "states actions"],
+    state_distribution: Float[np.ndarray, " states"],
+    rate: float,
+) -> RatePoint:
+    """The dual (10): the policy of largest return whose I(A; X) does not exceed `rate` nats.
+
+    Args:
+        action_value: Q(x, a) of the policy on all other time steps.
+        state_distribution: Distribution of the state at this time step.
+        rate: Nats that the action may tell about the state.
+    """
+    check_range("rate", rate, 0.0, np.inf)
+    check_finite("action_value", action_value)
+    spread = float(np.ptp(action_value))
+    best = deaf_point(action_value, state_distribution)
+    if rate == 0 or spread == 0:
+        return best
+    low, high = (float(np.log(spread * end)) for end in BRACKET)
+    freest = rate_point(action_value, state_distribution, float(np.exp(low)))
+    if freest.rate <= rate:
+        return freest
+    for _ in range(NUM_BISECTIONS):
+        point = rate_point(action_value, state_distribution, float(np.exp((low + high) / 2)))
+        if point.rate <= rate:
+            best, high = point, (low + high) / 2
+        else:
+            low = (low + high) / 2
+        if rate - RATE_TOLERANCE <= best.rate:
+            break
+    return best
+
+
+def deaf_point(
+    action_value: Float[np.ndarray, "states actions"],
+    state_distribution: Float[np.ndarray, " states"],
+) -> RatePoint:
+    """The start of the curve: the actions that are best on average, chosen without looking."""
+    policy = np.tile(greedy((state_distribution @ action_value)[None]), (len(action_value), 1))
+    value = expected_return(state_distribution, policy, action_value)
+    return RatePoint(float(np.inf), 0.0, value, policy)

@@ -1,0 +1,28 @@
+"""How the temperature lambda(t) and the hunger alpha(t) go with time."""
+
+from collections.abc import Callable
+from typing import TypeVar
+
+import numpy as np
+
+from deep_curiosity.tabular.checks import check_positive, check_range
+
+Setting = TypeVar("Setting", float, np.ndarray)
+
+
+def fixed(setting: Setting) -> Callable[[int], Setting]:
+    """The same at every step: a number, or an array with one for each state."""
+    return lambda step: setting
+
+
+def decreasing(first: float, factor: float, least: float = 0.0) -> Callable[[int], float]:
+    """Falls by a factor each step, never below `least`: lambda(t) down to lambda_min.
+
+    Args:
+        first: Value at step 0.
+        factor: What each step multiplies by, at most one.
+        least: Value it approaches and holds.
+    """
+    check_positive("first", first)
+    check_range("factor", factor, 0.0, 1.0)
+    return lambda step: max(least, first * factor**step)

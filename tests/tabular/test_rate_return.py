@@ -1,0 +1,118 @@
+import numpy as np
+import pytest
+
+from deep_curiosity.tabular.policies import greedy, random_log_policy
+from deep_curiosity.tabular.rate_return import (
+    largest_return,
+    rate_return_curve,
+    solve_rate_limited,
+)
+
+
+def draw_problem(seed=0, num_states=5, num_actions=4):
+    rng = np.random.default_rng(seed)
+    return rng.normal(size=(num_states, num_actions)), rng.dirichlet(np.ones(num_states))
+
+
+def blahut_arimoto(distortion, source, slope, num_iterations=20_000):
+    """Cover & Thomas, section 10.8, written for a distortion and one row for each symbol."""
+    output = np.full(distortion.shape[1], 1 / distortion.shape[1])
+    for _ in range(num_iterations):
+        test_channel = output * np.exp(-slope * distortion)
+        test_channel /= test_channel.sum(axis=1, keepdims=True)
+        output = source @ test_channel
+    return test_channel, output
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("temperature", [0.2, 0.7])
+def test_policy_is_that_of_blahut_and_arimoto(seed, temperature):
+    action_value, states = draw_problem(seed)
+    policy = solve_rate_limited(action_value, states, temperature).policy
+    channel, output = blahut_arimoto(-action_value, states, 1 / temperature)
+    np.testing.assert_allclose(policy, channel, atol=1e-8)
+    np.testing.assert_allclose(states @ policy, output, atol=1e-8)
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_no_other_action_marginal_would_pay(seed):
+    """Kuhn-Tucker: sum_x p(x) exp(Q / lambda) / Z(x) is one if an action is used, else less."""
+    action_value, states = draw_problem(seed)
+    policy = solve_rate_limited(action_value, states, 0.5).policy
+    weight = np.exp(action_value / 0.5)
+    worth = states @ (weight / (weight @ (states @ policy))[:, None])
+    assert worth.max() <= 1 + 1e-7
+    np.testing.assert_allclose(worth[states @ policy > 1e-6], 1, atol=1e-7)
+
+
+def test_objective_only_rises_and_no_other_policy_beats_its_end():
+    action_value, states = draw_problem(3)
+    solution = solve_rate_limited(action_value, states, 0.4)
+    assert solution.converged and (np.diff(solution.objective) > -1e-13).all()
+    rng = np.random.default_rng(4)
+    for _ in range(100):
+        policy = 0.9 * solution.policy + 0.1 * np.exp(random_log_policy(5, 4, rng))
+        rate = np.einsum("x,xa,xa->", states, policy, np.log(policy / (states @ policy)))
+        value = np.einsum("x,xa,xa->", states, policy, action_value)
+        assert value - 0.4 * rate < solution.objective[-1]
+
+
+def test_curve_rises_is_concave_and_its_slope_is_the_temperature():
+    action_value, states = draw_problem(5)
+    temperatures = np.geomspace(0.3, 0.1, 41)
+    curve = rate_return_curve(action_value, states, temperatures)
+    rate, value = np.array([(point.rate, point.value) for point in curve]).T
+    slope = np.diff(value) / np.diff(rate)
+    assert (np.diff(rate) > 0).all() and (np.diff(value) > 0).all()
+    assert (np.diff(slope) < 0).all()
+    assert (slope < temperatures[:-1]).all() and (slope > temperatures[1:]).all()
+
+
+def test_cold_policy_is_greedy():
+    action_value, states = draw_problem(6)
+    policy = solve_rate_limited(action_value, states, 1e-3).policy
+    np.testing.assert_allclose(policy, greedy(action_value), atol=1e-9)
+
+
+def test_cold_ties_go_to_the_action_that_other_states_use():
+    action_value = np.array([[1.0, 0.0], [1.0, 1.0]])
+    policy = solve_rate_limited(action_value, np.array([0.5, 0.5]), 0.01).policy
+    np.testing.assert_allclose(policy, [[1, 0], [1, 0]], atol=1e-6)
+    np.testing.assert_array_equal(greedy(action_value)[1], [0.5, 0.5])
+
+
+@pytest.mark.parametrize("rate", [0.1, 0.3])
+def test_dual_meets_its_rate_and_no_policy_of_that_rate_returns_more(rate):
+    action_value, states = draw_problem(4)
+    point = largest_return(action_value, states, rate)
+    assert point.rate <= rate and point.rate == pytest.approx(rate, abs=2e-6)
+    for other in rate_return_curve(action_value, states, [0.05, 0.2, 1.0]):
+        tangent = point.value + point.temperature * (other.rate - point.rate)
+        assert other.value <= tangent + 1e-9
+
+
+def test_dual_of_a_deaf_agent_is_its_best_constant_action():
+    action_value, states = draw_problem(8)
+    point = largest_return(action_value, states, 0.0)
+    assert point.rate == pytest.approx(0)
+    assert point.value == pytest.approx((states @ action_value).max())
+
+
+def test_dual_of_a_free_agent_is_greedy():
+    action_value, states = draw_problem(9)
+    point = largest_return(action_value, states, 10.0)
+    assert point.value == pytest.approx(states @ action_value.max(1))
+
+
+def test_dual_without_stakes_tells_nothing():
+    assert largest_return(np.ones((2, 3)), np.array([0.5, 0.5]), 1.0).rate == 0
+
+
+def test_bad_arguments_are_turned_away():
+    action_value, states = draw_problem()
+    with pytest.raises(ValueError, match="`rate` must lie in"):
+        largest_return(action_value, states, -0.1)
+    with pytest.raises(ValueError, match="`action_value` must be finite"):
+        solve_rate_limited(action_value * np.inf, states, 0.1)
+    with pytest.raises(ValueError, match="`state_distribution` must sum to 1"):
+        solve_rate_limited(action_value, states * 2, 0.1)
