@@ -38,7 +38,7 @@ SPARSE = [
 ]
 STUDIES = {
     "sparse": Study(SPARSE, CURIOSITY | PLAIN, seeds=5),
-    "control": Study(SPARSE, {"constant bonus": {"bonus": "constant"}}, seeds=2),
+    "control": Study(SPARSE, {"constant bonus": {"bonus": "constant"}}, seeds=1),
     "mountain_car": Study(
         [
             Task(
