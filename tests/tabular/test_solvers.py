@@ -190,7 +190,7 @@ def test_no_perturbation_at_one_time_step_raises_the_objective(seed):
     )
     assert solution.converged
     best = objective(solution.policy)
-    for _ in range(200):
+    for _ in range(60):
         other = np.exp(random_log_policy(4, 3, rng))
         for size in (1e-6, 1e-3, 0.1, 1.0):
             moved = (1 - size) * solution.policy + size * other
@@ -205,7 +205,7 @@ def test_stationary_policy_is_a_maximum_for_its_own_states_and_values(seed):
     states = stationary_distribution(world.transition, policy, world.start)
     value = 0.2 * action_values(world.transition, world.reward, policy, world.discount)
     best = curious_objective(world.transition, policy, states, value, 0.5)
-    for _ in range(200):
+    for _ in range(100):
         moved = 0.99 * policy + 0.01 * np.exp(random_log_policy(4, 3, rng))
         assert curious_objective(world.transition, moved, states, value, 0.5) <= best + 1e-12
 

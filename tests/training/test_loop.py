@@ -172,6 +172,7 @@ def test_a_nan_from_the_environment_stops_the_run_by_name(tiny, monkeypatch):
 
 
 def test_ctrl_c_ends_after_the_step_with_a_checkpoint(tiny, monkeypatch, capsys):
+    handler = signal.getsignal(signal.SIGINT)
     update = Learner.update
 
     def interrupting(self):
@@ -185,7 +186,7 @@ def test_ctrl_c_ends_after_the_step_with_a_checkpoint(tiny, monkeypatch, capsys)
     assert load_checkpoint(tiny.out)["history"]["step"] == 33
     assert f"--resume {tiny.out}" in capsys.readouterr().out
     monkeypatch.undo()
-    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    assert signal.getsignal(signal.SIGINT) is handler
 
 
 @pytest.mark.parametrize(
