@@ -6,33 +6,51 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from deep_curiosity.distributions import SquashedGaussian
-from deep_curiosity.networks import StackedMLP
+from deep_curiosity.distributions import SquashedMixture
+from deep_curiosity.networks import StackedMLP, log_softmax_of_rest
 
 LOG_STD_RANGE = (-5.0, 2.0)  # below -5 the tanh density is sharper than float32 resolves
 
 
 class GaussianPolicy(nn.Module):
-    """Observation to squashed Gaussian over actions.
+    """Observation to squashed Gaussian over actions, or to a mixture of several.
 
     Args:
         observation_dim: Length of an observation.
         action_dim: Length of an action.
+        modes: Number of Gaussians. One holds a single way of doing things; with more, the policy
+            can keep several apart, such as full left and full right.
         hidden_dims: Width of every hidden layer.
+
+    Raises:
+        ValueError: If `modes` is below 1.
     """
 
     def __init__(
-        self, observation_dim: int, action_dim: int, *, hidden_dims: Sequence[int] = (256, 256)
+        self,
+        observation_dim: int,
+        action_dim: int,
+        *,
+        modes: int = 1,
+        hidden_dims: Sequence[int] = (256, 256),
     ) -> None:
         super().__init__()
-        self.network = StackedMLP(1, observation_dim, hidden_dims, 2 * action_dim)
+        if modes < 1:
+            raise ValueError(f"`modes` must be at least 1, got {modes}.")
+        self.modes = modes
+        self.action_dim = action_dim
+        self.network = StackedMLP(
+            1, observation_dim, hidden_dims, 2 * modes * action_dim + modes - 1
+        )
 
-    def forward(self, observation: Float[Tensor, "batch observation_dim"]) -> SquashedGaussian:
+    def forward(self, observation: Float[Tensor, "batch observation_dim"]) -> SquashedMixture:
         """Distribution over actions at each observation."""
-        loc, raw_log_std = self.network(observation)[0].chunk(2, dim=-1)
+        features = self.network(observation)[0]
+        shape, logits = features.tensor_split([2 * self.modes * self.action_dim], dim=-1)
+        loc, raw_log_std = shape.unflatten(-1, (self.modes, -1)).transpose(0, 1).chunk(2, dim=-1)
         low, high = LOG_STD_RANGE
         log_std = low + 0.5 * (high - low) * (torch.tanh(raw_log_std) + 1)
-        return SquashedGaussian(loc, log_std)
+        return SquashedMixture(loc, log_std, log_softmax_of_rest(logits).mT)
 
 
 class Critics(nn.Module):

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from copy import deepcopy
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -30,6 +30,14 @@ RATE_PER_ACTION_DIM = {
 }
 
 
+class PolicyDraws(NamedTuple):
+    """What the actor's step leaves to the prior's and the temperature's, without gradient."""
+
+    pre_action: Float[Tensor, "modes batch action_dim"]
+    information_cost: Float[Tensor, "modes batch"]
+    weight: Float[Tensor, "modes batch"]
+
+
 class CuriousActorCritic(nn.Module):
     r"""Actor-critic whose policy follows equation (21).
 
@@ -43,6 +51,8 @@ class CuriousActorCritic(nn.Module):
         observation_dim: Length of an observation.
         action_dim: Length of an action; actions lie in [-1, 1].
         hidden_dims: Width of every hidden layer of policy and critics.
+        policy_modes: Gaussians that make up the policy. The actor's step costs as many passes
+            through the critics; an optimum with two peaks needs two.
         discount: Of the extrinsic reward, per step.
         curiosity: Whether `update` is given a bonus.
         curiosity_discount: Of the bonus, per step. 0 is the paper's equation as written: the actor
@@ -81,6 +91,7 @@ class CuriousActorCritic(nn.Module):
         action_dim: int,
         *,
         hidden_dims: Sequence[int] = (256, 256),
+        policy_modes: int = 1,
         discount: float = 0.99,
         curiosity: bool = True,
         curiosity_discount: float = 0.97,
@@ -119,7 +130,9 @@ class CuriousActorCritic(nn.Module):
 
         has_curiosity_critic = curiosity and curiosity_discount > 0
         discounts = [discount, curiosity_discount] if has_curiosity_critic else [discount]
-        self.policy = GaussianPolicy(observation_dim, action_dim, hidden_dims=hidden_dims)
+        self.policy = GaussianPolicy(
+            observation_dim, action_dim, modes=policy_modes, hidden_dims=hidden_dims
+        )
         self.critics = Critics(
             observation_dim, action_dim, pairs=len(discounts), hidden_dims=hidden_dims
         )
@@ -176,7 +189,7 @@ class CuriousActorCritic(nn.Module):
         policy = self.policy(observation)
         if deterministic:
             return policy.mode
-        return torch.tanh(policy.pre_action(torch.randn_like(policy.loc)))
+        return torch.tanh(policy.draw())
 
     def update(self, transition: Transition, bonus: Bonus | None = None) -> dict[str, Tensor]:
         """Take one gradient step on every part.
@@ -201,9 +214,9 @@ class CuriousActorCritic(nn.Module):
         dtype = self.log_temperature.dtype
         check_transition(transition, self.observation_dim, self.action_dim, dtype)
         metrics = self._update_critics(transition, bonus)
-        pre_action, information_cost, actor_metrics = self._update_actor(transition, bonus)
-        metrics |= actor_metrics | self._update_prior(pre_action)
-        metrics |= self._update_temperature(information_cost)
+        policy_draws, actor_metrics = self._update_actor(transition, bonus)
+        metrics |= actor_metrics | self._update_prior(policy_draws)
+        metrics |= self._update_temperature(policy_draws)
         self._move_targets()
         return metrics
 
@@ -237,7 +250,7 @@ class CuriousActorCritic(nn.Module):
     ) -> Float[Tensor, "pairs batch"]:
         """Targets of the extrinsic value and, where it is learned, of the curiosity value."""
         next_policy = self.policy(transition.next_observation)
-        pre_action = next_policy.pre_action(torch.randn_like(next_policy.loc))
+        pre_action = next_policy.draw()
         next_value = self.target_critics.lower(transition.next_observation, torch.tanh(pre_action))
         if self.soft_backup:
             information_cost = next_policy.log_prob(pre_action) - self.prior.log_prob(pre_action)
@@ -251,10 +264,11 @@ class CuriousActorCritic(nn.Module):
 
     def _update_actor(
         self, transition: Transition, bonus: Bonus | None
-    ) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
-        """Step the policy; return its pre-actions, their information cost, and what to log."""
+    ) -> tuple[PolicyDraws, dict[str, Tensor]]:
+        """Step the policy; return its draws and what to log."""
         policy = self.policy(transition.observation)
-        pre_action = policy.pre_action(torch.randn_like(policy.loc))
+        weight = policy.log_weight.exp()
+        pre_action = policy.pre_actions(torch.randn_like(policy.loc))
         with frozen(self.prior):
             information_cost = policy.log_prob(pre_action) - self.prior.log_prob(pre_action)
         value, curiosity_value = self._values(
@@ -266,32 +280,42 @@ class CuriousActorCritic(nn.Module):
             curiosity_value,
             temperature=self.log_temperature.detach().exp(),
             hunger=self._hunger,
+            weight=weight,
         )
         self._step("policy", loss)
         metrics = {
             "policy_loss": loss.detach(),
             "policy_std": policy.log_std.detach().exp().mean(),
         }
-        return pre_action.detach(), information_cost.detach(), metrics
+        draws = PolicyDraws(pre_action.detach(), information_cost.detach(), weight.detach())
+        return draws, metrics
 
     def _values(
-        self, observation: Tensor, action: Tensor, bonus: Bonus | None
-    ) -> tuple[Tensor, Tensor | float]:
+        self,
+        observation: Float[Tensor, "batch observation_dim"],
+        action: Float[Tensor, "modes batch action_dim"],
+        bonus: Bonus | None,
+    ) -> tuple[Float[Tensor, "modes batch"], Float[Tensor, "modes batch"] | float]:
         """Extrinsic and curiosity value of the policy's actions, for the actor to climb."""
+        modes, batch, _ = action.shape
+        observation, action = observation.repeat(modes, 1), action.flatten(0, 1)
         with frozen(self.critics):
-            value = self.critics.lower(observation, action)
+            value = self.critics.lower(observation, action).unflatten(-1, (modes, batch))
         if self._has_curiosity_critic:
             return value[0], self.curiosity_share * value[1]
-        return value[0], 0.0 if bonus is None else bonus(observation, action)
+        if bonus is None:
+            return value[0], 0.0
+        return value[0], bonus(observation, action).unflatten(0, (modes, batch))
 
-    def _update_prior(self, pre_action: Tensor) -> dict[str, Tensor]:
+    def _update_prior(self, draws: PolicyDraws) -> dict[str, Tensor]:
         if isinstance(self.prior, FlatPrior):
             return {}
-        loss = prior_loss(self.prior.log_prob(pre_action))
+        loss = prior_loss(self.prior.log_prob(draws.pre_action), draws.weight)
         self._step("prior", loss)
         return {"prior_log_prob": -loss.detach()}
 
-    def _update_temperature(self, information_cost: Tensor) -> dict[str, Tensor]:
+    def _update_temperature(self, draws: PolicyDraws) -> dict[str, Tensor]:
+        information_cost = (draws.weight * draws.information_cost).sum(0)
         rate = information_cost + self._log_volume  # nats from a normalised prior
         metrics = {
             "information_rate": rate.mean(),

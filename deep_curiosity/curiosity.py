@@ -10,7 +10,11 @@ from torch import Tensor
 
 from deep_curiosity.bonus import Bonus, Policy
 from deep_curiosity.distributions import gaussian_log_prob
-from deep_curiosity.divergences import gaussian_entropy
+from deep_curiosity.divergences import (
+    gaussian_entropy,
+    jensen_shannon_lower,
+    jensen_shannon_upper,
+)
 from deep_curiosity.dynamics import DynamicsEnsemble, Prediction
 from deep_curiosity.marginal import NextStateMarginal
 from deep_curiosity.networks import frozen
@@ -47,6 +51,8 @@ class CuriosityBonus(Bonus):
             step: neither bait nor threat.
         scale: Divide by the running standard deviation; without it the bonus is in nats.
         members: Number of models in the ensemble, at least 2.
+        outcomes: Gaussians that make up each prediction: more than one where the next state is one
+            of several, and not merely uncertain.
         hidden_dims: Width of every hidden layer of the models.
         noise_floor: Resolution at which the agent sees, in standard deviations of the observation.
         components: Number of next states that make up the marginal.
@@ -74,6 +80,7 @@ class CuriosityBonus(Bonus):
         center: bool = True,
         scale: bool = True,
         members: int = 5,
+        outcomes: int = 1,
         hidden_dims: Sequence[int] = (256, 256),
         noise_floor: float = 0.05,
         components: int = 256,
@@ -96,6 +103,7 @@ class CuriosityBonus(Bonus):
             observation_dim,
             action_dim,
             members=members,
+            outcomes=outcomes,
             hidden_dims=hidden_dims,
             noise_floor=noise_floor,
         )
@@ -133,8 +141,7 @@ class CuriosityBonus(Bonus):
         action: Float[Tensor, "batch action_dim"],
     ) -> Float[Tensor, " batch"]:
         """Raw divergence of each pair, the upper bound averaged over members, in nats."""
-        prediction = self._predict(observation, action)
-        return self.marginal.kl_upper(*prediction).mean(0)
+        return self._upper(self._predict(observation, action)).mean(0)
 
     def loss(self, transition: Transition) -> Float[Tensor, ""]:
         """Negative log-likelihood of the ensemble, in nats; see `DynamicsEnsemble.loss`.
@@ -176,7 +183,7 @@ class CuriosityBonus(Bonus):
         self,
         observation: Float[Tensor, "batch observation_dim"],
         action: Float[Tensor, "batch action_dim"],
-        noise: Float[Tensor, "samples members batch observation_dim"] | None = None,
+        noise: Float[Tensor, "samples members batch outcomes observation_dim"] | None = None,
     ) -> Decomposition:
         r"""Predictive power, information gain about the model, and their sum, in nats.
 
@@ -187,22 +194,34 @@ class CuriosityBonus(Bonus):
         Args:
             observation: Where.
             action: What is done there.
-            noise: Standard normal draws for each member; drawn afresh when `None`.
+            noise: Standard normal draws for each outcome of each member, which is weighed by its
+                probability; drawn afresh when `None`.
         """
-        loc, log_var = self._predict(observation, action)
+        prediction = self._predict(observation, action)
+        loc, log_var, log_weight = prediction
         if noise is None:
             noise = torch.randn(NUM_SAMPLES, *loc.shape, dtype=loc.dtype, device=loc.device)
-        next_state = loc + torch.exp(0.5 * log_var) * noise  # samples members batch dim
+        next_state = loc + torch.exp(0.5 * log_var) * noise  # samples members batch outcomes dim
         log_marginal = self.marginal.log_density(next_state)
-        log_members = gaussian_log_prob(  # samples members members batch
-            next_state.unsqueeze(2), loc, 0.5 * log_var
+        log_members = torch.logsumexp(  # samples members others batch outcomes
+            log_weight.unsqueeze(-2)
+            + gaussian_log_prob(
+                next_state.unsqueeze(2).unsqueeze(-2),
+                loc.unsqueeze(-3),
+                0.5 * log_var.unsqueeze(-3),
+            ),
+            dim=-1,
         )
-        log_own = gaussian_log_prob(next_state, loc, 0.5 * log_var)
+        log_own = log_members.diagonal(dim1=1, dim2=2).movedim(-1, 1)
         log_mean = torch.logsumexp(log_members, dim=2) - math.log(self.dynamics.members)
+
+        def mean(log_ratio: Tensor) -> Tensor:
+            return prediction.mean(log_ratio).mean((0, 1))
+
         return Decomposition(
-            predictive_power=(log_mean - log_marginal).mean((0, 1)),
-            information_gain=(log_own - log_mean).mean((0, 1)),
-            total=(log_own - log_marginal).mean((0, 1)),
+            predictive_power=mean(log_mean - log_marginal),
+            information_gain=mean(log_own - log_mean),
+            total=mean(log_own - log_marginal),
         )
 
     @torch.no_grad()
@@ -212,19 +231,18 @@ class CuriosityBonus(Bonus):
         if self.marginal.is_empty:
             return metrics
         generator = torch.Generator().manual_seed(0)  # leaves the global stream where it is
-        shape = (NUM_SAMPLES, self.dynamics.members, NUM_PROBES, self.observation_dim)
-        noise = torch.randn(shape, generator=generator).to(self.probe_observation)
-        parts = self.decompose(self.probe_observation, self.probe_action, noise)
         prediction = self._predict(self.probe_observation, self.probe_action)
-        upper, lower = (
-            bound(*prediction) for bound in (self.marginal.kl_upper, self.marginal.kl_lower)
+        noise = torch.randn(NUM_SAMPLES, *prediction.loc.shape, generator=generator)
+        parts = self.decompose(
+            self.probe_observation, self.probe_action, noise.to(self.probe_observation)
         )
+        upper, lower = self._upper(prediction), self._lower(prediction)
         return metrics | {
             "nats": upper.mean(),
             "nats_std": self.moments.scale[0],
             "predictive_power": parts.predictive_power.mean(),
             "information_gain": parts.information_gain.mean(),
-            "conditional_entropy": gaussian_entropy(prediction.log_var).mean(),
+            "conditional_entropy": _entropy(prediction).mean(),
             "bound_gap": (upper - lower).mean(),
             "marginal_perplexity": self.marginal.perplexity(),
             "floor_share": self._floor_share(prediction),
@@ -237,6 +255,19 @@ class CuriosityBonus(Bonus):
         with frozen(self.dynamics):
             return self.dynamics(observation, action)
 
+    def _upper(self, prediction: Prediction) -> Float[Tensor, "members batch"]:
+        """Upper bound of each member's divergence from the marginal, in nats."""
+        loc, log_var, _ = prediction
+        return prediction.mean(self.marginal.kl_upper(loc, log_var)) - jensen_shannon_lower(
+            *prediction
+        )
+
+    def _lower(self, prediction: Prediction) -> Float[Tensor, "members batch"]:
+        loc, log_var, _ = prediction
+        return prediction.mean(self.marginal.kl_lower(loc, log_var)) - jensen_shannon_upper(
+            *prediction
+        )
+
     def _check_pairs(self, observation: Tensor, action: Tensor) -> None:
         check_batch("observation", observation, self.observation_dim, self.moments.mean.dtype)
         check_batch("action", action, self.action_dim, self.moments.mean.dtype)
@@ -248,10 +279,11 @@ class CuriosityBonus(Bonus):
     def _refresh(self, transition: Transition, fresh_action: Tensor) -> None:
         """Renew the marginal's components, the standardisation and the probes."""
         observation = transition.observation
-        prediction = self.dynamics(observation, fresh_action)
+        loc, log_var, log_weight = self.dynamics(observation, fresh_action)
         rows = torch.arange(observation.shape[0], device=observation.device)
         member = rows % self.dynamics.members  # each component is some member's, in turn
-        self.marginal.refresh(prediction.loc[member, rows], prediction.log_var[member, rows])
+        outcome = torch.multinomial(log_weight[member, rows].exp(), 1).squeeze(-1)
+        self.marginal.refresh(loc[member, rows, outcome], log_var[member, rows, outcome])
         nats = self.nats(observation, transition.action)
         self.moments.update(nats.unsqueeze(-1))
         probes = torch.arange(NUM_PROBES, device=observation.device) % observation.shape[0]
@@ -260,4 +292,12 @@ class CuriosityBonus(Bonus):
 
     def _floor_share(self, prediction: Prediction) -> Tensor:
         """Mean share of the predicted variance that is the floor: at 1 the model is sharper."""
-        return torch.exp(2 * math.log(self.dynamics.noise_floor) - prediction.log_var).mean()
+        share = torch.exp(2 * math.log(self.dynamics.noise_floor) - prediction.log_var).mean(-1)
+        return prediction.mean(share).mean()
+
+
+def _entropy(prediction: Prediction) -> Float[Tensor, "members batch"]:
+    """Differential entropy of each member's prediction, from below, in nats."""
+    return prediction.mean(gaussian_entropy(prediction.log_var)) + jensen_shannon_lower(
+        *prediction
+    )

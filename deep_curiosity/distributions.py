@@ -9,7 +9,7 @@ import math
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 from torch.nn.functional import softplus
 
@@ -60,23 +60,48 @@ def mixture_log_prob(
     return torch.logsumexp(log_prob + component_log_weight, dim=-1)
 
 
-class SquashedGaussian(NamedTuple):
-    """A diagonal Gaussian over pre-actions; the action is its tanh."""
+class SquashedMixture(NamedTuple):
+    """A mixture of diagonal Gaussians over pre-actions, often of one; the action is the tanh.
 
-    loc: Float[Tensor, "batch action_dim"]
-    log_std: Float[Tensor, "batch action_dim"]
+    Expectations over it are taken mode by mode, with one draw from each and its weight: unbiased,
+    and differentiable in the weights as well.
+    """
 
-    def pre_action(
-        self, noise: Float[Tensor, "batch action_dim"]
-    ) -> Float[Tensor, "batch action_dim"]:
-        """Pre-action for standard normal `noise`, differentiable in the parameters."""
+    loc: Float[Tensor, "modes batch action_dim"]
+    log_std: Float[Tensor, "modes batch action_dim"]
+    log_weight: Float[Tensor, "modes batch"]
+
+    def pre_actions(
+        self, noise: Float[Tensor, "modes batch action_dim"]
+    ) -> Float[Tensor, "modes batch action_dim"]:
+        """One pre-action of each mode for standard normal `noise`, differentiable."""
         return self.loc + self.log_std.exp() * noise
 
-    def log_prob(self, pre_action: Float[Tensor, "batch action_dim"]) -> Float[Tensor, " batch"]:
-        """Log density of the pre-action, in nats."""
-        return gaussian_log_prob(pre_action, self.loc, self.log_std)
+    def draw(self) -> Float[Tensor, "batch action_dim"]:
+        """One pre-action for each row, from a mode chosen by its weight."""
+        pre_action = self.pre_actions(torch.randn_like(self.loc))
+        if len(pre_action) == 1:
+            return pre_action[0]
+        gumbel = -torch.empty_like(self.log_weight).exponential_().log()
+        return _rows_of(pre_action, (self.log_weight + gumbel).argmax(0))
+
+    def log_prob(
+        self, pre_action: Float[Tensor, "*draws batch action_dim"]
+    ) -> Float[Tensor, "*draws batch"]:
+        """Log density of pre-actions under the whole mixture, in nats."""
+        log_prob = gaussian_log_prob(pre_action.unsqueeze(-3), self.loc, self.log_std)
+        if len(self.loc) == 1:
+            return log_prob.squeeze(-2)
+        return torch.logsumexp(log_prob + self.log_weight, dim=-2)
 
     @property
     def mode(self) -> Float[Tensor, "batch action_dim"]:
-        """Action at the centre of the Gaussian."""
-        return torch.tanh(self.loc)
+        """Action at the centre of the weightiest Gaussian."""
+        return torch.tanh(_rows_of(self.loc, self.log_weight.argmax(0)))
+
+
+def _rows_of(
+    value: Float[Tensor, "modes batch action_dim"], mode: Int[Tensor, " batch"]
+) -> Float[Tensor, "batch action_dim"]:
+    """Each row from a mode of its own."""
+    return value[mode, torch.arange(mode.shape[0], device=mode.device)]

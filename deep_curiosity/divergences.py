@@ -6,6 +6,7 @@ Kullback Leibler divergence between Gaussian mixture models" (2007), and Kolchin
 """
 
 import math
+from collections.abc import Callable
 
 import torch
 from jaxtyping import Float
@@ -120,6 +121,31 @@ def kl_to_mixture_sampled(
     return (own - mixture).mean(0)
 
 
+def jensen_shannon_lower(
+    loc: Float[Tensor, "*batch components dim"],
+    log_var: Float[Tensor, "*batch components dim"],
+    log_weight: Float[Tensor, "*batch components"],
+) -> Float[Tensor, " *batch"]:
+    r"""Lower bound of the divergence of a mixture's components from the mixture, in nats.
+
+    .. math:: -\sum_k w_k \log \sum_l w_l \exp(-BD(f_k, f_l)) \le \sum_k w_k KL(f_k \| \bar f)
+
+    with the Bhattacharyya distance. Exact for components that coincide or lie far apart; zero for
+    one alone. What a sample tells of the component it is from: `KL(mixture || m)` is the mean of
+    the components' divergences to `m`, less this.
+    """
+    return _pairwise_information(_bhattacharyya_distance, loc, log_var, log_weight)
+
+
+def jensen_shannon_upper(
+    loc: Float[Tensor, "*batch components dim"],
+    log_var: Float[Tensor, "*batch components dim"],
+    log_weight: Float[Tensor, "*batch components"],
+) -> Float[Tensor, " *batch"]:
+    """Upper bound of what `jensen_shannon_lower` bounds from below, by pairwise divergences."""
+    return _pairwise_information(gaussian_kl, loc, log_var, log_weight)
+
+
 def mixture_log_density(
     value: Float[Tensor, "*batch dim"],
     component_loc: Float[Tensor, "components dim"],
@@ -157,6 +183,31 @@ def expected_log_density(
     offset = offset + _log_weight(component_loc, component_log_weight)
     product = torch.addmm(offset, moments.reshape(-1, moments.shape[-1]), slopes.mT)
     return product.to(dtype).reshape(*moments.shape[:-1], -1)
+
+
+def _pairwise_information(
+    distance: Callable[[Tensor, Tensor, Tensor, Tensor], Tensor],
+    loc: Tensor,
+    log_var: Tensor,
+    log_weight: Tensor,
+) -> Tensor:
+    """Information of a sample about its component, from distances between pairs of them."""
+    if loc.shape[-2] == 1:
+        return torch.zeros_like(log_weight[..., 0])
+    pairs = distance(
+        loc.unsqueeze(-2), log_var.unsqueeze(-2), loc.unsqueeze(-3), log_var.unsqueeze(-3)
+    )
+    log_share = torch.logsumexp(log_weight.unsqueeze(-2) - pairs, dim=-1)  # *batch components
+    return -(log_weight.exp() * log_share).sum(-1)
+
+
+def _bhattacharyya_distance(
+    loc: Tensor, log_var: Tensor, other_loc: Tensor, other_log_var: Tensor
+) -> Tensor:
+    """Minus the log overlap of the square roots of two diagonal Gaussians."""
+    log_mean_var = torch.logaddexp(log_var, other_log_var) - math.log(2)
+    distance = 0.25 * (loc - other_loc).square() * torch.exp(-log_mean_var)
+    return 0.5 * (distance + log_mean_var - 0.5 * (log_var + other_log_var)).sum(-1)
 
 
 def _log_weight(

@@ -9,7 +9,8 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn.functional import softplus
 
-from deep_curiosity.networks import StackedMLP
+from deep_curiosity.distributions import gaussian_log_prob
+from deep_curiosity.networks import StackedMLP, log_softmax_of_rest
 from deep_curiosity.normalization import RunningMoments
 from deep_curiosity.transitions import Transition
 
@@ -18,14 +19,20 @@ HELD_OUT_SHARE = 20  # one transition in twenty is never trained on
 HASH_OFFSET = 0x9E3779B9  # so that zeros count; the golden ratio's digits
 HASH_FACTOR = 0x5851F42D4C957F2D  # odd, of Knuth's generator MMIX
 HELD_OUT_DECAY = 0.98  # of the held-out averages, for each batch
-NINETY_PERCENT = 1.6449  # half-width of a standard Gaussian's central 90 % interval
 
 
 class Prediction(NamedTuple):
-    """Gaussian next states of each member, in whitened units of the observation."""
+    """Next states as each member sees them, in whitened units: a mixture of outcomes, or one."""
 
-    loc: Float[Tensor, "members batch observation_dim"]
-    log_var: Float[Tensor, "members batch observation_dim"]
+    loc: Float[Tensor, "members batch outcomes observation_dim"]
+    log_var: Float[Tensor, "members batch outcomes observation_dim"]
+    log_weight: Float[Tensor, "members batch outcomes"]
+
+    def mean(
+        self, value: Float[Tensor, "*samples members batch outcomes"]
+    ) -> Float[Tensor, "*samples members batch"]:
+        """Mean over outcomes by their weights."""
+        return (self.log_weight.exp() * value).sum(-1)
 
 
 class DynamicsEnsemble(nn.Module):
@@ -33,17 +40,20 @@ class DynamicsEnsemble(nn.Module):
 
     Each member predicts the whitened change of state with its own variance. Predictions come out
     in whitened units of the observation, where `noise_floor` is the resolution at which the agent
-    sees: no prediction is sharper than that.
+    sees: no prediction is sharper than that. Where the next state is one of several, such as a
+    ball caught or dropped, `outcomes` makes every prediction a mixture (Bishop, "Mixture density
+    networks", 1994).
 
     Args:
         observation_dim: Length of an observation.
         action_dim: Length of an action.
         members: Number of models, at least 2: one alone cannot disagree.
+        outcomes: Gaussians that make up each prediction.
         hidden_dims: Width of every hidden layer.
         noise_floor: Standard deviation added to every prediction, in whitened units.
 
     Raises:
-        ValueError: If `members` is below 2 or a dimension or the floor is not positive.
+        ValueError: If `members` is below 2 or a count, dimension or the floor is not positive.
     """
 
     held_out_nll: Tensor
@@ -55,6 +65,7 @@ class DynamicsEnsemble(nn.Module):
         action_dim: int,
         *,
         members: int = 5,
+        outcomes: int = 1,
         hidden_dims: Sequence[int] = (256, 256),
         noise_floor: float = 0.05,
     ) -> None:
@@ -63,16 +74,27 @@ class DynamicsEnsemble(nn.Module):
             raise ValueError(
                 f"`members` must be at least 2 to measure disagreement, got {members}."
             )
-        for name, dim in (("observation_dim", observation_dim), ("action_dim", action_dim)):
-            if dim < 1:
-                raise ValueError(f"`{name}` must be at least 1, got {dim}.")
+        counts = {
+            "observation_dim": observation_dim,
+            "action_dim": action_dim,
+            "outcomes": outcomes,
+        }
+        for name, count in counts.items():
+            if count < 1:
+                raise ValueError(f"`{name}` must be at least 1, got {count}.")
         if not 0 < noise_floor < math.inf:
             raise ValueError(f"`noise_floor` must be positive and finite, got {noise_floor}.")
         self.members = members
+        self.outcomes = outcomes
         self.noise_floor = noise_floor
         self.network = StackedMLP(
-            members, observation_dim + action_dim, hidden_dims, 2 * observation_dim
+            members,
+            observation_dim + action_dim,
+            hidden_dims,
+            2 * outcomes * observation_dim + outcomes - 1,
         )
+        if outcomes > 1:
+            self._spread_outcomes(observation_dim)
         self.observation_moments = RunningMoments(observation_dim)
         self.change_moments = RunningMoments(observation_dim)
         self.register_buffer("held_out_nll", torch.tensor(math.nan))
@@ -88,9 +110,10 @@ class DynamicsEnsemble(nn.Module):
         scale = self.observation_moments.scale
         ratio = self.change_moments.scale / scale
         shift = self.observation_moments.normalize(observation + self.change_moments.mean)
+        shift = shift.unsqueeze(-2)  # *members batch 1 observation_dim
         log_floor = torch.full_like(change.log_var, 2 * math.log(self.noise_floor))
         log_var = torch.logaddexp(change.log_var + 2 * ratio.log(), log_floor)
-        return Prediction(shift + ratio * change.loc, log_var)
+        return Prediction(shift + ratio * change.loc, log_var, change.log_weight)
 
     def loss(self, transition: Transition) -> Float[Tensor, ""]:
         """Negative log-likelihood of the whitened change, in nats, summed over members.
@@ -98,25 +121,19 @@ class DynamicsEnsemble(nn.Module):
         Every member weighs the batch by its own bootstrap (Poisson counts). One transition in
         twenty, chosen for good by its content, is held out of every bootstrap and measured.
         """
-        nll, standard_error = self.negative_log_likelihood(transition)
+        change, target = self._change_and_target(transition)
+        nll = _negative_log_likelihood(change, target)
         held_out = is_held_out(
             torch.cat([transition.observation, transition.action, transition.next_observation], -1)
         )
         with torch.no_grad():
             weight = torch.poisson(torch.ones_like(nll)).masked_fill_(held_out, 0.0)
-            self._track_held_out(nll, standard_error, held_out)
+            self._track_held_out(nll, _quantile(change, target), held_out)
         return (weight * nll).sum() / (~held_out).sum().clamp(min=1)
 
-    def negative_log_likelihood(
-        self, transition: Transition
-    ) -> tuple[Float[Tensor, "members batch"], Float[Tensor, "members batch observation_dim"]]:
-        """Negative log-likelihood in nats of the whitened change, and its standardised error."""
-        prediction = self._whitened_change(transition.observation, transition.action)
-        change = transition.next_observation - transition.observation
-        target = self.change_moments.normalize(change)
-        standard_error = (target - prediction.loc) * torch.exp(-0.5 * prediction.log_var)
-        nll = 0.5 * (standard_error.square() + prediction.log_var + math.log(2 * math.pi)).sum(-1)
-        return nll, standard_error
+    def negative_log_likelihood(self, transition: Transition) -> Float[Tensor, "members batch"]:
+        """Negative log-likelihood of the whitened change under each member, in nats."""
+        return _negative_log_likelihood(*self._change_and_target(transition))
 
     def observe(self, transition: Transition) -> None:
         """Update the statistics that whiten observations and changes."""
@@ -130,21 +147,67 @@ class DynamicsEnsemble(nn.Module):
             "model_coverage_90": self.held_out_coverage.clone(),
         }
 
+    @torch.no_grad()
+    def _spread_outcomes(self, observation_dim: int) -> None:
+        """Begin with outcomes apart, at quantiles of a standard Gaussian, the same everywhere.
+
+        So none starves another, and no two change places between one action and the next. Each
+        member and feature pairs them by a sign of its own.
+        """
+        level = (torch.arange(self.outcomes) + 0.5) / self.outcomes
+        sign = 2.0 * torch.randint(2, (self.members, 1, 1, observation_dim)) - 1
+        spread = sign * torch.special.ndtri(level).unsqueeze(-1)
+        for parameter, start in zip(
+            self.network.layers[-1].parameters(), (0, spread), strict=True
+        ):
+            shape = parameter[..., : 2 * self.outcomes * observation_dim]
+            shape.unflatten(-1, (self.outcomes, -1))[..., :observation_dim] = start
+
+    def _change_and_target(
+        self, transition: Transition
+    ) -> tuple[Prediction, Float[Tensor, "batch observation_dim"]]:
+        """Predicted and true change, both whitened."""
+        change = transition.next_observation - transition.observation
+        prediction = self._whitened_change(transition.observation, transition.action)
+        return prediction, self.change_moments.normalize(change)
+
     def _whitened_change(self, observation: Tensor, action: Tensor) -> Prediction:
         features = torch.cat([self.observation_moments.normalize(observation), action], dim=-1)
-        loc, raw_log_var = self.network(features).chunk(2, dim=-1)
-        return Prediction(loc, soft_clamp(raw_log_var, *LOG_VAR_RANGE))
+        output = self.network(features)
+        dim = observation.shape[-1]
+        shape, logits = output.tensor_split([2 * self.outcomes * dim], dim=-1)
+        loc, raw_log_var = shape.unflatten(-1, (self.outcomes, 2 * dim)).chunk(2, dim=-1)
+        return Prediction(
+            loc, soft_clamp(raw_log_var, *LOG_VAR_RANGE), log_softmax_of_rest(logits)
+        )
 
-    def _track_held_out(self, nll: Tensor, standard_error: Tensor, held_out: Tensor) -> None:
+    def _track_held_out(self, nll: Tensor, quantile: Tensor, held_out: Tensor) -> None:
         """Fold the held-out rows of a batch into running averages; no row changes nothing."""
         weight = held_out.to(nll.dtype) / held_out.sum()
-        inside = (standard_error.abs() < NINETY_PERCENT).to(nll.dtype).mean(-1)
+        inside = ((quantile > 0.05) & (quantile < 0.95)).to(nll.dtype).mean(-1)
         for average, value in ((self.held_out_nll, nll), (self.held_out_coverage, inside)):
             latest = (value.mean(0) * weight).sum()
             blended = torch.where(
                 average.isnan(), latest, average.lerp(latest, 1 - HELD_OUT_DECAY)
             )
             average.copy_(torch.where(blended.isnan(), average, blended))
+
+
+def _negative_log_likelihood(
+    prediction: Prediction, target: Float[Tensor, "batch dim"]
+) -> Float[Tensor, "members batch"]:
+    log_prob = gaussian_log_prob(
+        target.unsqueeze(-2), prediction.loc, 0.5 * prediction.log_var
+    )  # members batch outcomes
+    return -torch.logsumexp(log_prob + prediction.log_weight, dim=-1)
+
+
+def _quantile(
+    prediction: Prediction, target: Float[Tensor, "batch dim"]
+) -> Float[Tensor, "members batch dim"]:
+    """Probability of a value below the target, in each coordinate: uniform where calibrated."""
+    standard = (target.unsqueeze(-2) - prediction.loc) * torch.exp(-0.5 * prediction.log_var)
+    return (prediction.log_weight.exp().unsqueeze(-1) * torch.special.ndtr(standard)).sum(-2)
 
 
 def soft_clamp(value: Float[Tensor, "*batch"], low: float, high: float) -> Float[Tensor, "*batch"]:

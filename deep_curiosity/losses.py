@@ -26,12 +26,13 @@ def critic_loss(
 
 
 def actor_loss(
-    information_cost: Float[Tensor, " batch"],
-    value: Float[Tensor, " batch"],
-    curiosity_value: Float[Tensor, " batch"] | float,
+    information_cost: Float[Tensor, "*modes batch"],
+    value: Float[Tensor, "*modes batch"],
+    curiosity_value: Float[Tensor, "*modes batch"] | float,
     *,
     temperature: float | Float[Tensor, ""],
     hunger: float | Float[Tensor, ""],
+    weight: Float[Tensor, "*modes batch"] | float = 1.0,
 ) -> Float[Tensor, ""]:
     r"""Loss whose minimiser over policies is equation (21).
 
@@ -43,13 +44,17 @@ def actor_loss(
         curiosity_value: Curiosity value of each sampled action; 0 without curiosity.
         temperature: Price of a nat, lambda.
         hunger: Weight of the extrinsic value, alpha.
+        weight: Of each mode of the policy, where one action was drawn from every mode.
     """
-    return (temperature * information_cost - hunger * value - curiosity_value).mean()
+    loss = temperature * information_cost - hunger * value - curiosity_value
+    return (weight * loss).sum() / loss.shape[-1]
 
 
-def prior_loss(log_prob: Float[Tensor, " batch"]) -> Float[Tensor, ""]:
+def prior_loss(
+    log_prob: Float[Tensor, "*modes batch"], weight: Float[Tensor, "*modes batch"] | float = 1.0
+) -> Float[Tensor, ""]:
     """Cross-entropy of the policy's own actions; its minimiser is the marginal (14), (23)."""
-    return -log_prob.mean()
+    return -(weight * log_prob).sum() / log_prob.shape[-1]
 
 
 def temperature_loss(

@@ -8,6 +8,7 @@ from itertools import pairwise
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
+from torch.nn.functional import pad
 
 
 class StackedLinear(nn.Module):
@@ -62,6 +63,13 @@ class StackedMLP(nn.Module):
         for layer in self.layers[:-1]:
             value = torch.relu(layer(value))
         return self.layers[-1](value)
+
+
+def log_softmax_of_rest(
+    logits: Float[Tensor, "*batch others"],
+) -> Float[Tensor, "*batch others+1"]:
+    """Log weights of alternatives of which the first has logit zero: one alone needs no logit."""
+    return torch.log_softmax(pad(logits, (1, 0)), dim=-1)
 
 
 @contextmanager

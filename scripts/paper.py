@@ -501,6 +501,15 @@ differences, with steps n^-0.7, with a power of about -0.35 at best.
 
 Table: [errors](samples.csv).
 
+## The deep agent's exam
+
+`scripts/exam.py` puts the deep agent, without reward, to the two illustrations as environments with
+one continuous action, and compares the policy it learns with the exact one: [exam.md](exam.md),
+table [exam.csv](exam.csv). Its policy has two modes and its model two outcomes: one Gaussian can
+neither be at both ends of the action box nor tell a coin from a wide uncertainty.
+
+![What the deep agent does](exam.png)
+
 ## Neighbours
 
 What the methods the paper names end with on the same worlds: predictive information of state and

@@ -6,7 +6,8 @@ from deep_curiosity.actor_critic import LOG_STD_RANGE, Critics, GaussianPolicy
 
 def test_policy_has_one_gaussian_for_each_observation():
     policy = GaussianPolicy(3, 2, hidden_dims=(8,))(torch.randn(5, 3))
-    assert policy.loc.shape == policy.log_std.shape == (5, 2)
+    assert policy.loc.shape == policy.log_std.shape == (1, 5, 2)
+    assert policy.log_weight.equal(torch.zeros(1, 5))
 
 
 def test_log_std_stays_in_its_range_at_any_observation():
@@ -21,15 +22,28 @@ def test_where_the_network_says_zero_log_std_is_the_middle_of_its_range():
     for parameter in policy.parameters():
         parameter.data.zero_()
     distribution = policy(torch.randn(4, 3))
-    torch.testing.assert_close(distribution.log_std, torch.full((4, 2), -1.5))
-    torch.testing.assert_close(distribution.loc, torch.zeros(4, 2))
+    torch.testing.assert_close(distribution.log_std, torch.full((1, 4, 2), -1.5))
+    torch.testing.assert_close(distribution.loc, torch.zeros(1, 4, 2))
 
 
-def test_gradients_reach_every_parameter_of_the_policy():
-    policy = GaussianPolicy(3, 2, hidden_dims=(8,))
+@pytest.mark.parametrize("modes", [1, 3])
+def test_gradients_reach_every_parameter_of_the_policy(modes):
+    policy = GaussianPolicy(3, 2, modes=modes, hidden_dims=(8,))
     distribution = policy(torch.randn(32, 3))
-    distribution.log_prob(distribution.pre_action(torch.randn(32, 2))).sum().backward()
+    log_prob = distribution.log_prob(distribution.pre_actions(torch.randn(modes, 32, 2)))
+    (distribution.log_weight.exp() * log_prob).sum().backward()
     assert all(parameter.grad.abs().sum() > 0 for parameter in policy.parameters())
+
+
+def test_a_policy_of_several_modes_weighs_them():
+    policy = GaussianPolicy(3, 2, modes=3, hidden_dims=(8,))(torch.randn(5, 3))
+    assert policy.loc.shape == policy.log_std.shape == (3, 5, 2)
+    torch.testing.assert_close(policy.log_weight.exp().sum(0), torch.ones(5))
+
+
+def test_a_policy_without_modes_is_rejected():
+    with pytest.raises(ValueError, match="`modes` must be at least 1, got 0"):
+        GaussianPolicy(3, 2, modes=0)
 
 
 @pytest.mark.parametrize("pairs", [1, 2])

@@ -85,13 +85,18 @@ def noise(monkeypatch):
     """The draws of one update, in order: at the next observation, then at the observation."""
     draws = torch.randn(2, 32, 2, dtype=torch.float64)
     queue = iter(draws)
-    monkeypatch.setattr(torch, "randn_like", lambda like: next(queue).to(like))
+    monkeypatch.setattr(torch, "randn_like", lambda like: next(queue).to(like).unsqueeze(0))
     return draws
+
+
+def only_mode(policy):
+    (loc,), (log_std,), _ = policy
+    return loc, log_std
 
 
 def soft_actor_critic_policy(agent, observation, noise):
     """Reparameterised action and its log density, from torch's own distributions."""
-    loc, log_std = agent.policy(observation)
+    loc, log_std = only_mode(agent.policy(observation))
     squash = TanhTransform(cache_size=1)
     policy = TransformedDistribution(Independent(Normal(loc, log_std.exp()), 1), squash)
     action = squash(loc + log_std.exp() * noise)
@@ -158,9 +163,9 @@ def test_log_density_agrees_with_stable_baselines3():
     distributions = pytest.importorskip("stable_baselines3.common.distributions")
     agent, observation = plain_agent(), torch.randn(64, 3)
     policy = agent.policy(observation)
-    pre_action = policy.pre_action(torch.randn(64, 2)).clamp(-2, 2)  # it adds 1e-6 in the log
+    pre_action = policy.draw().clamp(-2, 2)  # it adds 1e-6 in the log
     witness = distributions.SquashedDiagGaussianDistribution(2)
-    witness.proba_distribution(policy.loc, policy.log_std)
+    witness.proba_distribution(*only_mode(policy))
     expected = witness.log_prob(torch.tanh(pre_action), pre_action)
     actual = policy.log_prob(pre_action) - agent.prior.log_prob(pre_action)
     torch.testing.assert_close(actual, expected, atol=1e-4, rtol=0)
@@ -288,7 +293,7 @@ def actor_terms(agent, batch, noise, critics):
     """Information cost and values of the actions that an update draws."""
     with torch.no_grad():
         policy = agent.policy(batch.observation)
-        pre_action = policy.pre_action(noise)
+        (pre_action,) = policy.pre_actions(noise.unsqueeze(0))
         cost = policy.log_prob(pre_action) - agent.prior.log_prob(pre_action)
         return cost.mean(), critics.lower(batch.observation, torch.tanh(pre_action)).mean(-1)
 
@@ -318,7 +323,8 @@ def test_curiosity_yields_by_the_ratio_of_spreads_and_never_grows(spreads, share
 def test_what_yields_is_the_curiosity_value_in_the_actor():
     agent, batch = small_agent(yielding=True), random_transition()
     agent.spreads.copy_(torch.tensor([4.0, 1.0]))
-    value, curiosity_value = agent._values(batch.observation, batch.action, None)
+    action = batch.action.unsqueeze(0)  # of the policy's only mode
+    (value,), (curiosity_value,) = agent._values(batch.observation, action, None)
     lower = agent.critics.lower(batch.observation, batch.action)
     torch.testing.assert_close((value, curiosity_value), (lower[0], 0.25 * lower[1]))
 
@@ -343,7 +349,7 @@ def test_with_zero_discount_the_actor_climbs_the_bonus_itself(noise):
     metrics = agent.update(batch, PushingBonus(3.0).double())
     cost, value = actor_terms(before, batch, noise[1], agent.critics)
     with torch.no_grad():
-        action = torch.tanh(before.policy(batch.observation).pre_action(noise[1]))
+        (action,) = torch.tanh(before.policy(batch.observation).pre_actions(noise[1:]))
     expected = cost - value[0] - 3 * action[:, 0].mean()
     assert metrics["policy_loss"].item() == pytest.approx(expected.item(), abs=1e-6)
 
@@ -417,10 +423,10 @@ def test_the_prior_is_pulled_by_its_own_loss_alone(noise):
     agent = plain_agent(prior="learned").double()
     batch, before = double(random_transition()), deepcopy(agent)
     agent.update(batch)
-    pre_action = before.policy(batch.observation).pre_action(noise[1]).detach()
+    pre_action = before.policy(batch.observation).pre_actions(noise[1:]).detach()
     (-before.prior.log_prob(pre_action).mean()).backward()
     for actual, wanted in zip(agent.prior.parameters(), before.prior.parameters(), strict=True):
-        torch.testing.assert_close(actual.grad, wanted.grad, atol=1e-9, rtol=0)
+        torch.testing.assert_close(actual.grad, wanted.grad, atol=1e-8, rtol=0)
 
 
 def test_divergence_of_the_learned_prior_from_uniform_is_reported():
@@ -549,7 +555,7 @@ def test_a_deterministic_action_is_the_centre_of_the_policy():
     agent, observation = small_agent(), torch.randn(9, 3)
     random_state = torch.get_rng_state()
     action = agent.act(observation, deterministic=True)
-    torch.testing.assert_close(action, agent.policy(observation).loc.detach().tanh())
+    torch.testing.assert_close(action, agent.policy(observation).loc[0].detach().tanh())
     assert torch.get_rng_state().equal(random_state)
 
 
@@ -601,3 +607,46 @@ def test_a_dial_set_out_of_range_is_rejected_and_stays(name, value):
 def test_an_unknown_prior_is_rejected():
     with pytest.raises((ValueError, TypeError), match="prior"):
         small_agent(prior="habit")
+
+
+def test_the_gradient_of_a_policy_of_two_modes_is_that_of_its_expectation():
+    agent = small_agent(policy_modes=2, prior="learned", temperature=0.3).double()
+    batch, before = double(random_transition()), deepcopy(agent)
+    torch.manual_seed(1)
+    agent.update(batch, PushingBonus(1.0).double())
+    with torch.random.fork_rng():
+        torch.manual_seed(1)
+        before.policy(batch.next_observation).draw()  # what the critics' targets take
+        policy = before.policy(batch.observation)
+        noise = torch.randn_like(policy.loc)
+    loss = 0.0
+    for mode, weight in zip(policy.pre_actions(noise), policy.log_weight.exp(), strict=True):
+        cost = policy.log_prob(mode) - before.prior.log_prob(mode)
+        value, curiosity_value = agent.critics.lower(batch.observation, torch.tanh(mode))
+        loss = loss + (weight * (0.3 * cost - value - curiosity_value)).mean()
+    loss.backward()
+    for actual, wanted in zip(agent.policy.parameters(), before.policy.parameters(), strict=True):
+        torch.testing.assert_close(actual.grad, wanted.grad, atol=1e-8, rtol=0)
+
+
+def test_a_policy_of_two_modes_keeps_two_ways_apart():
+    class Either(PushingBonus):
+        """Pays for an action far from the middle, on either side."""
+
+        def forward(self, observation, action):
+            return self.slope * action[:, 0].abs()
+
+    agent = small_agent(
+        policy_modes=2,
+        curiosity_discount=0.0,
+        hunger=0.0,
+        temperature=0.05,
+        tune_temperature=False,
+        learning_rate=1e-2,
+    )
+    bonus = Either(1.0)
+    for _ in range(300):
+        agent.update(random_transition(), bonus)
+    action = agent.act(torch.randn(2_000, 3))[:, 0]
+    assert (action.abs() > 0.8).float().mean() > 0.9
+    assert 0.2 < (action > 0).float().mean() < 0.8

@@ -43,8 +43,8 @@ class FixedDynamics(nn.Module):
         self.members = len(slopes)
 
     def forward(self, observation, action):
-        loc = self.slopes.view(-1, 1, 1) * action
-        return Prediction(loc, torch.full_like(loc, 2 * self.log_std))
+        loc = (self.slopes.view(-1, 1, 1) * action).unsqueeze(-2)
+        return Prediction(loc, torch.full_like(loc, 2 * self.log_std), torch.zeros(loc.shape[:-1]))
 
     def observe(self, transition):
         pass
@@ -82,9 +82,9 @@ def test_bonus_of_known_answers_is_the_mean_divergence_of_the_members():
     bonus = bonus_of(1.0, 3.0)
     batch = random_transition(16, 2, 2)
     bonus.observe(batch)
-    loc, log_var = bonus.dynamics(batch.observation, batch.action)
+    loc, log_var, _ = bonus.dynamics(batch.observation, batch.action)
     expected = torch.stack([bonus.marginal.kl_upper(loc[i], log_var[i]) for i in range(2)]).mean(0)
-    torch.testing.assert_close(bonus.nats(batch.observation, batch.action), expected)
+    torch.testing.assert_close(bonus.nats(batch.observation, batch.action), expected.squeeze(-1))
 
 
 def test_where_one_seldom_ends_up_the_bonus_is_larger():
@@ -163,7 +163,7 @@ def test_loss_reaches_every_parameter():
 def test_parts_add_up_to_the_total():
     bonus, batch = watchful_bonus()
     for _ in range(5):
-        noise = torch.randn(8, 3, 32, 3)
+        noise = torch.randn(8, 3, 32, 1, 3)
         power, gain, total = bonus.decompose(batch.observation, batch.action, noise)
         torch.testing.assert_close(power + gain, total, atol=1e-4, rtol=0)
 
@@ -190,14 +190,14 @@ def test_members_that_never_agree_with_where_they_lead_have_power_but_no_gain():
     bonus = bonus_of(2.0, 2.0)
     batch = random_transition(32, 2, 2)
     bonus.observe(batch)
-    parts = bonus.decompose(batch.observation, batch.action, torch.randn(500, 2, 32, 2))
+    parts = bonus.decompose(batch.observation, batch.action, torch.randn(500, 2, 32, 1, 2))
     assert parts.predictive_power.mean() > 1 > 1e-4 > parts.information_gain.abs().max()
 
 
 def test_total_is_the_sampled_divergence_averaged_over_members():
     bonus, batch = watchful_bonus()
-    noise = torch.randn(8, 3, 32, 3)
-    loc, log_var = bonus.dynamics(batch.observation, batch.action)
+    noise = torch.randn(8, 3, 32, 1, 3)
+    loc, log_var, _ = bonus.dynamics(batch.observation, batch.action)
     marginal = bonus.marginal
     expected = kl_to_mixture_sampled(
         loc,
@@ -208,12 +208,12 @@ def test_total_is_the_sampled_divergence_averaged_over_members():
         samples=loc + (0.5 * log_var).exp() * noise,
     )
     total = bonus.decompose(batch.observation, batch.action, noise).total
-    torch.testing.assert_close(total, expected.mean(0), atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(total, expected.mean(0).squeeze(-1), atol=1e-4, rtol=1e-4)
 
 
 def test_parts_are_positive_and_the_bonus_bounds_their_sum():
     bonus, batch = watchful_bonus()
-    noise = torch.randn(400, 3, 32, 3)
+    noise = torch.randn(400, 3, 32, 1, 3)
     parts = bonus.decompose(batch.observation, batch.action, noise)
     assert parts.predictive_power.mean() > 0 and parts.information_gain.mean() > 0
     assert parts.total.mean() <= bonus.nats(batch.observation, batch.action).mean() + 0.05
@@ -484,3 +484,53 @@ def test_a_feature_that_starts_to_move_late_does_not_drown_the_others():
 def test_what_is_out_of_range_is_rejected_by_name_and_value(name, value):
     with pytest.raises(ValueError, match=rf"`{name}`.*got {value}"):
         small_bonus(**{name: value})
+
+
+class Coin(nn.Module):
+    """A world whose next state is 1 with the probability that the action says, and 0 otherwise."""
+
+    noise_floor, members = 0.05, 2
+
+    def forward(self, observation, action):
+        heads = 0.5 * (1 + action.squeeze(-1)).expand(2, -1)
+        loc = torch.tensor([0.0, 1.0]).view(2, 1).expand(*heads.shape, 2, 1)
+        log_weight = torch.stack([1 - heads, heads], -1).clamp(min=1e-6).log()
+        return Prediction(loc, torch.full_like(loc, 2 * math.log(0.05)), log_weight)
+
+    def observe(self, transition):
+        pass
+
+    def metrics(self):
+        return {}
+
+
+@pytest.fixture
+def coin_bonus():
+    bonus = CuriosityBonus(1, 1, **SMALL | {"components": 2_000, "refresh_interval": 1})
+    bonus.dynamics = Coin()
+    bonus.observe(random_transition(2_000, 1, 1)._replace(action=torch.zeros(2_000, 1)))
+    return bonus
+
+
+def test_a_coin_is_worth_what_its_entropy_leaves(coin_bonus):
+    heads = torch.tensor([0.0, 0.1, 0.5, 0.8, 1.0])
+    nats = coin_bonus.nats(torch.zeros(5, 1), 2 * heads.unsqueeze(-1) - 1)
+    entropy = torch.special.entr(heads) + torch.special.entr(1 - heads)
+    torch.testing.assert_close(nats - nats[2], math.log(2) - entropy, atol=0.05, rtol=0)
+
+
+def test_parts_of_a_coin_add_up_and_equal_members_gain_nothing(coin_bonus):
+    heads = torch.tensor([0.0, 0.5, 0.9])
+    action = 2 * heads.unsqueeze(-1) - 1
+    parts = coin_bonus.decompose(torch.zeros(3, 1), action, torch.randn(400, 2, 3, 2, 1))
+    torch.testing.assert_close(parts.information_gain, torch.zeros(3), atol=1e-4, rtol=0)
+    nats = coin_bonus.nats(torch.zeros(3, 1), action)
+    torch.testing.assert_close(parts.total, nats, atol=0.5, rtol=0)
+    torch.testing.assert_close(parts.total - parts.total[1], nats - nats[1], atol=0.1, rtol=0)
+
+
+def test_metrics_bound_the_entropy_of_a_coin(coin_bonus):
+    metrics = coin_bonus.metrics()
+    spikes = math.log(0.05) + 0.5 * math.log(2 * math.pi * math.e)
+    assert metrics["conditional_entropy"].item() == pytest.approx(math.log(2) + spikes, abs=0.01)
+    assert metrics["bound_gap"] >= 0

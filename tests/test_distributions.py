@@ -13,7 +13,7 @@ from torch.distributions import (
 from torch.distributions.transforms import TanhTransform
 
 from deep_curiosity.distributions import (
-    SquashedGaussian,
+    SquashedMixture,
     flat_log_prob,
     gaussian_log_prob,
     log_abs_det_tanh,
@@ -83,9 +83,15 @@ def test_squashed_log_density_agrees_with_torch_distributions():
     torch.testing.assert_close(actual, reference.log_prob(action), atol=1e-7, rtol=1e-7)
 
 
+def one_mode(loc, log_std):
+    return SquashedMixture(
+        loc.unsqueeze(0), log_std.unsqueeze(0), torch.zeros(1, loc.shape[0], dtype=loc.dtype)
+    )
+
+
 def test_single_precision_is_right_at_large_pre_actions():
     pre_action = torch.tensor([[9.0], [20.0], [-30.0]])
-    policy = SquashedGaussian(pre_action, torch.zeros(3, 1))
+    policy = one_mode(pre_action, torch.zeros(3, 1))
     actual = squashed_log_prob(policy.log_prob(pre_action), pre_action)
     expected = -0.5 * math.log(2 * math.pi) - math.log(4) + 2 * pre_action.abs().squeeze(-1)
     torch.testing.assert_close(actual, expected, atol=1e-5, rtol=0)
@@ -93,14 +99,14 @@ def test_single_precision_is_right_at_large_pre_actions():
 
 @pytest.mark.parametrize(("loc", "log_std"), [(0.0, 0.0), (2.0, -1.0), (-1.0, 0.5)])
 def test_policy_density_integrates_to_one(loc, log_std):
-    policy = SquashedGaussian(column(loc), column(log_std))
+    policy = one_mode(column(loc), column(log_std))
     total, _ = integrate.quad(lambda u: policy.log_prob(column(u)).exp().item(), -30, 30)
     assert total == pytest.approx(1, abs=1e-6)
 
 
 @pytest.mark.parametrize(("loc", "log_std"), [(0.0, -1.0), (0.5, -1.5)])
 def test_squashed_density_integrates_to_one_over_the_action_box(loc, log_std):
-    policy = SquashedGaussian(column(loc), column(log_std))
+    policy = one_mode(column(loc), column(log_std))
 
     def density(action):
         pre_action = column(math.atanh(action))
@@ -130,13 +136,57 @@ def test_the_squash_cancels_from_a_difference_of_log_densities():
 
 def test_pre_actions_follow_the_noise():
     loc, log_std = torch.tensor([[1.0]]), torch.tensor([[math.log(3)]])
-    policy = SquashedGaussian(loc.requires_grad_(), log_std.requires_grad_())
-    pre_action = policy.pre_action(torch.tensor([[2.0]]))
+    policy = one_mode(loc.requires_grad_(), log_std.requires_grad_())
+    pre_action = policy.pre_actions(torch.tensor([[[2.0]]]))
     assert pre_action.item() == pytest.approx(7)
     pre_action.sum().backward()
     assert loc.grad.item() == 1 and log_std.grad.item() == pytest.approx(6)
 
 
 def test_mode_is_the_squashed_centre():
-    policy = SquashedGaussian(torch.tensor([[0.5, -30.0]]), torch.zeros(1, 2))
+    policy = one_mode(torch.tensor([[0.5, -30.0]]), torch.zeros(1, 2))
     torch.testing.assert_close(policy.mode, torch.tensor([[math.tanh(0.5), -1.0]]))
+
+
+def two_modes(weight, loc=(-2.0, 1.0), std=(0.5, 1.5)):
+    """A mixture of two over one action, the same at every row."""
+    shape = (2, 1, 1)
+    return SquashedMixture(
+        torch.tensor(loc).view(shape),
+        torch.tensor(std).log().view(shape),
+        torch.tensor([[1 - weight], [weight]]).log(),
+    )
+
+
+def test_a_mixture_density_agrees_with_torch_distributions():
+    policy, pre_action = two_modes(0.3), torch.linspace(-5, 5, 21).unsqueeze(-1)
+    modes = Normal(policy.loc.flatten(), policy.log_std.exp().flatten())
+    reference = MixtureSameFamily(Categorical(logits=policy.log_weight.flatten()), modes)
+    torch.testing.assert_close(
+        policy.log_prob(pre_action), reference.log_prob(pre_action.squeeze(-1))
+    )
+
+
+def test_a_mixture_draws_from_its_modes_by_their_weights():
+    modes = [part.expand(2, 40_000, *part.shape[2:]) for part in two_modes(0.3)]
+    draws = SquashedMixture(*modes).draw().squeeze(-1)
+    reference = two_modes(0.3)
+    below = torch.tensor([-2.5, -1.0, 1.0, 2.0])
+    cdf = Normal(reference.loc.flatten(), reference.log_std.exp().flatten()).cdf(below[:, None])
+    expected = cdf @ torch.tensor([0.7, 0.3])
+    actual = (draws < below[:, None]).float().mean(-1)
+    torch.testing.assert_close(actual, expected, atol=0.01, rtol=0)
+
+
+def test_expectations_mode_by_mode_are_those_of_the_mixture():
+    parts = [part.expand(2, 50_000, *part.shape[2:]) for part in two_modes(0.3)]
+    policy = SquashedMixture(*parts)
+    pre_action = policy.pre_actions(torch.randn_like(policy.loc))
+    stratified = (policy.log_weight.exp() * policy.log_prob(pre_action)).sum(0).mean()
+    drawn = policy.log_prob(policy.draw()).mean()
+    assert stratified.item() == pytest.approx(drawn.item(), abs=0.02)
+
+
+@pytest.mark.parametrize(("weight", "centre"), [(0.3, -2.0), (0.7, 1.0)])
+def test_mode_of_a_mixture_is_the_centre_of_the_weightiest(weight, centre):
+    torch.testing.assert_close(two_modes(weight).mode, torch.tensor([[math.tanh(centre)]]))

@@ -12,6 +12,8 @@ from deep_curiosity.divergences import (
     expected_log_density,
     gaussian_entropy,
     gaussian_kl,
+    jensen_shannon_lower,
+    jensen_shannon_upper,
     kl_to_mixture_lower,
     kl_to_mixture_sampled,
     kl_to_mixture_upper,
@@ -184,3 +186,46 @@ def test_members_are_a_leading_axis():
     loc, log_var, *problem = random_problem(8, batch=6)
     stacked = kl_to_mixture_upper(loc.unflatten(0, (2, 3)), log_var.unflatten(0, (2, 3)), *problem)
     torch.testing.assert_close(stacked.flatten(), kl_to_mixture_upper(loc, log_var, *problem))
+
+
+def several(loc, std, weight):
+    """A mixture over one dimension, in the arguments of the Jensen-Shannon bounds."""
+    loc, std, weight = (torch.tensor(part, dtype=torch.float64) for part in (loc, std, weight))
+    return loc.unsqueeze(-1), 2 * std.log().unsqueeze(-1), weight.log()
+
+
+def jensen_shannon_by_quadrature(loc, log_var, log_weight):
+    return sum(
+        weight * kl_by_quadrature(loc[k], log_var[k], loc, log_var, log_weight)
+        for k, weight in enumerate(log_weight.exp().tolist())
+    )
+
+
+@pytest.mark.parametrize("gap", [0.0, 0.5, 1.0, 3.0])
+@pytest.mark.parametrize("std", [[1.0, 1.0], [0.3, 1.0]])
+@pytest.mark.parametrize("weight", [[0.5, 0.5], [0.1, 0.9]])
+def test_the_information_about_the_component_lies_between_its_bounds(gap, std, weight):
+    problem = several([0.0, gap], std, weight)
+    truth = jensen_shannon_by_quadrature(*problem)
+    assert jensen_shannon_lower(*problem).item() <= truth + 1e-9
+    assert jensen_shannon_upper(*problem).item() >= truth - 1e-9
+
+
+@pytest.mark.parametrize("bound", [jensen_shannon_lower, jensen_shannon_upper])
+def test_the_information_about_the_component_is_exact_at_both_ends(bound):
+    weight = [0.2, 0.3, 0.5]
+    entropy = -sum(share * math.log(share) for share in weight)
+    assert bound(*several([1.0] * 3, [0.4] * 3, weight)).item() == pytest.approx(0, abs=1e-12)
+    assert bound(*several([0.0, 50.0, 99.0], [0.4] * 3, weight)).item() == pytest.approx(entropy)
+    assert bound(*several([0.7], [0.4], [1.0])).item() == 0
+
+
+@pytest.mark.parametrize("bound", [jensen_shannon_lower, jensen_shannon_upper])
+def test_the_information_about_the_component_is_of_each_row(bound):
+    loc, log_var, weight = torch.randn(4, 5, 3, 2), torch.randn(4, 5, 3, 2), torch.randn(4, 5, 3)
+    log_weight = weight.log_softmax(-1)
+    actual = bound(loc, log_var, log_weight)
+    assert actual[2, 3].item() == pytest.approx(
+        bound(loc[2, 3], log_var[2, 3], log_weight[2, 3]).item(), abs=1e-5
+    )
+    assert actual.shape == (4, 5) and (actual >= 0).all()

@@ -69,7 +69,7 @@ def test_the_variance_of_least_loss_is_the_true_one(fitted):
     unit = torch.tensor([1.0, 50.0])
     with torch.no_grad():
         prediction = fitted(observation * unit, torch.zeros(31, 1))
-    std = (0.5 * prediction.log_var).exp() * fitted.observation_moments.scale / unit
+    std = (0.5 * prediction.log_var).exp().squeeze(-2) * fitted.observation_moments.scale / unit
     ratio = std / true_std(observation)
     assert (ratio.log().abs() < math.log(1.2)).all()
     assert ratio.mean().item() == pytest.approx(1, abs=0.05)
@@ -80,7 +80,7 @@ def test_the_mean_of_least_loss_is_the_true_one(fitted):
     unit = torch.tensor([1.0, 50.0])
     action = torch.full((31, 1), 0.5)
     with torch.no_grad():
-        loc = fitted(observation * unit, action).loc
+        loc = fitted(observation * unit, action).loc.squeeze(-2)
     moments = fitted.observation_moments
     next_observation = (loc * moments.scale + moments.mean) / unit
     assert (next_observation - (0.7 * observation + 0.25)).abs().max() < 0.15
@@ -105,16 +105,14 @@ def test_held_out_loss_of_a_fitted_ensemble_is_the_entropy_of_the_world(fitted, 
 def test_negative_log_likelihood_agrees_with_torch_distributions():
     ensemble, batch = small_ensemble(noise_floor=1e-6), random_transition(16)
     ensemble.observe(random_transition(100))
-    nll, standard_error = ensemble.negative_log_likelihood(batch)
+    nll = ensemble.negative_log_likelihood(batch)
     prediction = ensemble(batch.observation, batch.action)
     target = ensemble.observation_moments.normalize(batch.next_observation)
     own = Normal(prediction.loc, (0.5 * prediction.log_var).exp())
+    target = target.unsqueeze(-2)
     ratio = ensemble.change_moments.scale / ensemble.observation_moments.scale
-    expected = -(own.log_prob(target) + ratio.log()).sum(-1)  # in units of the change
+    expected = -(own.log_prob(target) + ratio.log()).sum((-1, -2))  # in units of the change
     torch.testing.assert_close(nll, expected, atol=1e-4, rtol=1e-4)
-    torch.testing.assert_close(
-        standard_error, (target - own.mean) / own.stddev, atol=1e-4, rtol=1e-4
-    )
 
 
 def test_predictions_by_hand_are_in_whitened_units_of_the_observation():
@@ -128,7 +126,7 @@ def test_predictions_by_hand_are_in_whitened_units_of_the_observation():
     )  # changes have mean 3 and std 1
     prediction = ensemble(torch.tensor([[14.0]]), torch.zeros(1, 1))
     expected = torch.tensor([[[(17 - 10) / 2]], [[(17 + 2 - 10) / 2]]])
-    torch.testing.assert_close(prediction.loc, expected)
+    torch.testing.assert_close(prediction.loc.squeeze(-2), expected)
     change_var = soft_clamp(torch.zeros(1), *dynamics.LOG_VAR_RANGE).exp() / 4
     torch.testing.assert_close(prediction.log_var.exp().flatten(), (change_var + 0.25).expand(2))
 
@@ -163,7 +161,7 @@ def test_bootstraps_average_to_the_plain_loss(every_fifth_held_out):
     ensemble, batch = small_ensemble(), random_transition(50)
     trained = ~every_fifth_held_out
     with torch.no_grad():
-        plain = ensemble.negative_log_likelihood(batch)[0][:, trained].mean(1).sum()
+        plain = ensemble.negative_log_likelihood(batch)[:, trained].mean(1).sum()
         mean = torch.stack([ensemble.loss(batch) for _ in range(300)]).mean()
     assert mean.item() == pytest.approx(plain.item(), rel=0.02)
 
@@ -188,9 +186,11 @@ def test_held_out_rows_never_reach_a_gradient(every_fifth_held_out, name):
 
 
 def test_held_out_rows_are_measured(every_fifth_held_out):
-    ensemble, batch = small_ensemble(), random_transition(50)
+    ensemble, batch = small_ensemble(noise_floor=1e-6), random_transition(50)
     ensemble.loss(batch)
-    nll, standard_error = ensemble.negative_log_likelihood(batch)
+    nll = ensemble.negative_log_likelihood(batch)
+    loc, log_var, _ = ensemble(batch.observation, batch.action)
+    standard_error = (batch.next_observation.unsqueeze(-2) - loc) * (-0.5 * log_var).exp()
     metrics = ensemble.metrics()
     torch.testing.assert_close(metrics["model_held_out_nll"], nll[:, every_fifth_held_out].mean())
     inside = (standard_error[:, every_fifth_held_out].abs() < 1.6449).float().mean()
@@ -202,7 +202,7 @@ def test_held_out_measures_are_averaged_over_batches(every_fifth_held_out):
     ensemble.loss(first)
     before = ensemble.metrics()["model_held_out_nll"]
     ensemble.loss(second)
-    latest = ensemble.negative_log_likelihood(second)[0][:, every_fifth_held_out].mean()
+    latest = ensemble.negative_log_likelihood(second)[:, every_fifth_held_out].mean()
     torch.testing.assert_close(
         ensemble.metrics()["model_held_out_nll"], 0.98 * before + 0.02 * latest
     )
@@ -321,3 +321,60 @@ def test_a_noise_floor_that_is_not_finite_is_rejected(value):
 def test_a_dimension_below_one_is_rejected(dims):
     with pytest.raises(ValueError, match=r"`(observation|action)_dim` must be at least 1, got 0"):
         DynamicsEnsemble(*dims)
+
+
+def coin_world(batch):
+    """The action says how likely a jump of one unit is; otherwise nothing moves."""
+    observation, action = torch.randn(batch, 1), torch.rand(batch, 1) * 2 - 1
+    jump = (torch.rand(batch, 1) < 0.5 * (1 + action)).float()
+    return transition(observation, action, observation + jump + 0.02 * torch.randn(batch, 1))
+
+
+@pytest.fixture(scope="module")
+def gamblers():
+    """Ensembles of one and of two outcomes, fitted to the world of the coin."""
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        return [fitted_to_coin(outcomes) for outcomes in (1, 2)]
+
+
+def fitted_to_coin(outcomes):
+    ensemble = DynamicsEnsemble(1, 1, members=2, outcomes=outcomes, hidden_dims=(32,))
+    world = coin_world(8_000)
+    ensemble.observe(world)
+    optimizer = torch.optim.Adam(ensemble.parameters(), lr=1e-2, fused=True)
+    for _ in range(500):
+        rows = torch.randint(8_000, (256,))
+        optimizer.zero_grad()
+        ensemble.loss(Transition(*(field[rows] for field in world))).backward()
+        optimizer.step()
+    return ensemble
+
+
+def test_two_outcomes_tell_a_coin_that_one_gaussian_blurs(gamblers):
+    world = coin_world(4_000)
+    with torch.no_grad():
+        one, two = (ensemble.negative_log_likelihood(world).mean() for ensemble in gamblers)
+    assert two < one - 1.0
+
+
+def test_outcomes_have_the_probabilities_of_the_world(gamblers):
+    action = torch.linspace(-0.9, 0.9, 19).unsqueeze(-1)
+    observation = torch.zeros(19, 1)
+    with torch.no_grad():
+        loc, _, log_weight = gamblers[1](observation, action)
+    moments = gamblers[1].observation_moments
+    jumps = loc.squeeze(-1) * moments.scale + moments.mean > 0.5
+    probability = (log_weight.exp() * jumps).sum(-1)
+    assert (probability - 0.5 * (1 + action.T)).abs().max() < 0.1
+
+
+def test_a_calibrated_mixture_covers_ninety_percent(gamblers):
+    gamblers[1].held_out_coverage.fill_(math.nan)
+    gamblers[1].loss(coin_world(20_000))
+    assert gamblers[1].metrics()["model_coverage_90"].item() == pytest.approx(0.9, abs=0.05)
+
+
+def test_outcomes_begin_apart():
+    loc = small_ensemble(outcomes=3)(torch.zeros(4, 3), torch.zeros(4, 2)).loc
+    assert (loc[:, :, 0] - loc[:, :, 2]).abs().mean() > 1

@@ -31,10 +31,10 @@ def make_environment(
     """
     env_id = _registered_id(env_id)
     env_kwargs = dict(env_kwargs or {})
+    if render_mode is not None:
+        env_kwargs["render_mode"] = render_mode
     try:
-        environment = gymnasium.make(
-            env_id, disable_env_checker=True, render_mode=render_mode, **env_kwargs
-        )
+        environment = gymnasium.make(env_id, disable_env_checker=True, **env_kwargs)
     except TypeError as error:
         raise ValueError(
             f"`env_kwargs` must be arguments of {env_id}, got {env_kwargs}: {error}"

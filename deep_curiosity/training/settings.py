@@ -53,9 +53,13 @@ class Settings:
     """Transitions in an update."""
     hidden_dim: int = 256
     """Width of the two hidden layers of policy, critics and models."""
+    policy_modes: int = 1
+    """Gaussians that make up the policy; an optimum with two peaks needs two."""
 
     members: int = 5
     """Models in the dynamics ensemble."""
+    outcomes: int = 1
+    """Gaussians that make up a prediction; a next state that is one of two needs two."""
     model_learning_rate: float = 1e-3
     """Of Adam, for the models."""
     noise_floor: float = 0.05

@@ -1,4 +1,6 @@
-"""Small MuJoCo tasks whose rewards are sparse, registered with Gymnasium on import.
+"""Small MuJoCo tasks whose rewards are sparse, and the paper's two illustrations.
+
+Both are registered with Gymnasium on import.
 
 Example:
     >>> import gymnasium
@@ -9,18 +11,22 @@ Example:
 import gymnasium
 
 from deep_curiosity_envs.cartpole import CartpoleSwingup
+from deep_curiosity_envs.illustrations import CleverRandom, ReliableUnreliable
 from deep_curiosity_envs.mujoco_task import MujocoTask
 from deep_curiosity_envs.pendulum import PendulumSwingup
 from deep_curiosity_envs.point_maze import PointMaze
 from deep_curiosity_envs.reacher import ReacherSparse
 
 __all__ = [
+    "ILLUSTRATION_IDS",
     "TASK_IDS",
     "CartpoleSwingup",
+    "CleverRandom",
     "MujocoTask",
     "PendulumSwingup",
     "PointMaze",
     "ReacherSparse",
+    "ReliableUnreliable",
 ]
 
 # Control steps after which Gymnasium truncates an episode.
@@ -32,7 +38,7 @@ _EPISODE_STEPS: dict[type[MujocoTask], int] = {
 }
 
 
-def _register(task: type[MujocoTask], num_steps: int) -> str:
+def _register(task: type[gymnasium.Env], num_steps: int) -> str:
     """Make the task known to Gymnasium, once, and return its id."""
     task_id = f"deep_curiosity/{task.__name__}-v0"
     if task_id not in gymnasium.registry:
@@ -41,4 +47,6 @@ def _register(task: type[MujocoTask], num_steps: int) -> str:
     return task_id
 
 
+ILLUSTRATION_IDS = tuple(_register(world, 100) for world in (CleverRandom, ReliableUnreliable))
+"""The paper's two illustrations, for the deep agent: two states, no reward."""
 TASK_IDS = tuple(_register(task, num_steps) for task, num_steps in _EPISODE_STEPS.items())

@@ -1,8 +1,10 @@
+import gymnasium
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
 from deep_curiosity.tabular.worlds import FLIP, STAY, clever_random, reliable_unreliable
+from deep_curiosity_envs import ILLUSTRATION_IDS
 from deep_curiosity_envs.illustrations import CleverRandom, ReliableUnreliable
 
 
@@ -16,6 +18,18 @@ def frequency(env, state, action, num_steps=2_000):
         assert reward == 0 and not terminated and not truncated
         arrivals.append(observation[0])
     return np.mean(arrivals)
+
+
+def test_both_are_registered_and_end_by_their_time_limit():
+    for env_id in ILLUSTRATION_IDS:
+        env = gymnasium.make(env_id)
+        env.reset(seed=0)
+        ends = [env.step(env.action_space.sample())[2:4] for _ in range(100)]
+        assert ends == [(False, False)] * 99 + [(False, True)]
+    assert ILLUSTRATION_IDS == (
+        "deep_curiosity/CleverRandom-v0",
+        "deep_curiosity/ReliableUnreliable-v0",
+    )
 
 
 @pytest.mark.parametrize("env", [CleverRandom(), ReliableUnreliable()])
