@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from copy import deepcopy
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -19,7 +19,7 @@ from deep_curiosity.losses import (
     prior_loss,
     temperature_loss,
 )
-from deep_curiosity.networks import frozen
+from deep_curiosity.optimization import Adam
 from deep_curiosity.transitions import Transition, check_batch, check_transition
 
 SPREAD_DECAY = 0.99  # of the running spreads of the values, for each update
@@ -144,10 +144,12 @@ class CuriousActorCritic(nn.Module):
         self.register_buffer("spreads", torch.zeros(len(discounts)))  # of each value over replay
         self.temperature = temperature
         self.hunger = hunger
-        self.optimizers = {
-            name: torch.optim.Adam(parameters, lr=learning_rate, fused=True)
-            for name, parameters in self._trained_parameters().items()
-        }
+        self.optimizers = nn.ModuleDict(
+            {
+                name: Adam(parameters, learning_rate)
+                for name, parameters in self._trained_parameters().items()
+            }
+        )
 
     @property
     def hunger(self) -> float:
@@ -269,8 +271,7 @@ class CuriousActorCritic(nn.Module):
         policy = self.policy(transition.observation)
         weight = policy.log_weight.exp()
         pre_action = policy.pre_actions(torch.randn_like(policy.loc))
-        with frozen(self.prior):
-            information_cost = policy.log_prob(pre_action) - self.prior.log_prob(pre_action)
+        information_cost = policy.log_prob(pre_action) - self.prior.log_prob(pre_action)
         value, curiosity_value = self._values(
             transition.observation, torch.tanh(pre_action), bonus
         )
@@ -299,8 +300,7 @@ class CuriousActorCritic(nn.Module):
         """Extrinsic and curiosity value of the policy's actions, for the actor to climb."""
         modes, batch, _ = action.shape
         observation, action = observation.repeat(modes, 1), action.flatten(0, 1)
-        with frozen(self.critics):
-            value = self.critics.lower(observation, action).unflatten(-1, (modes, batch))
+        value = self.critics.lower(observation, action).unflatten(-1, (modes, batch))
         if self._has_curiosity_critic:
             return value[0], self.curiosity_share * value[1]
         if bonus is None:
@@ -334,9 +334,9 @@ class CuriousActorCritic(nn.Module):
             torch._foreach_lerp_(targets, sources, self.polyak)
 
     def _step(self, name: str, loss: Tensor) -> None:
-        self.optimizers[name].zero_grad()
-        loss.backward()
-        self.optimizers[name].step()
+        optimizer = self.optimizers[name]
+        assert isinstance(optimizer, Adam)
+        optimizer.step(loss)
 
     def _trained_parameters(self) -> dict[str, list[nn.Parameter]]:
         parts: dict[str, list[nn.Parameter]] = {
@@ -355,15 +355,6 @@ class CuriousActorCritic(nn.Module):
     def _log_volume(self) -> float:
         """What turns a cost relative to the prior in use into nats from a normalised prior."""
         return self.prior.log_volume if isinstance(self.prior, FlatPrior) else 0.0
-
-    def get_extra_state(self) -> dict[str, Any]:
-        """State of the optimisers, so that `state_dict` is all there is."""
-        return {name: optimizer.state_dict() for name, optimizer in self.optimizers.items()}
-
-    def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Restore the optimisers."""
-        for name, optimizer in self.optimizers.items():
-            optimizer.load_state_dict(deepcopy(state[name]))  # it would keep the tensors
 
 
 def _check_positive(name: str, value: float) -> None:

@@ -117,6 +117,8 @@ class CuriosityBonus(Bonus):
         self.register_buffer("probe_observation", torch.zeros(NUM_PROBES, observation_dim))
         self.register_buffer("probe_action", torch.zeros(NUM_PROBES, action_dim))
         self.register_buffer("num_observed", torch.zeros((), dtype=torch.long))
+        self._num_observed = 0  # the same as a plain number: to read it waits for no device
+        self.register_load_state_dict_post_hook(_recount)
 
     def forward(
         self,
@@ -168,7 +170,7 @@ class CuriosityBonus(Bonus):
                 are then as before.
         """
         self._check_transition(transition)
-        refreshing = self.num_observed % self.refresh_interval == 0
+        refreshing = self._num_observed % self.refresh_interval == 0
         if refreshing and policy is not None:
             fresh = transition._replace(action=policy(transition.observation))
             self._check_transition(fresh)
@@ -177,7 +179,8 @@ class CuriosityBonus(Bonus):
         self.dynamics.observe(transition)
         if refreshing:
             self._refresh(transition, fresh.action)
-        self.num_observed.add_(1)
+        self._num_observed += 1
+        self.num_observed.fill_(self._num_observed)
 
     def decompose(
         self,
@@ -294,6 +297,10 @@ class CuriosityBonus(Bonus):
         """Mean share of the predicted variance that is the floor: at 1 the model is sharper."""
         share = torch.exp(2 * math.log(self.dynamics.noise_floor) - prediction.log_var).mean(-1)
         return prediction.mean(share).mean()
+
+
+def _recount(bonus: CuriosityBonus, _: object) -> None:
+    bonus._num_observed = int(bonus.num_observed)
 
 
 def _entropy(prediction: Prediction) -> Float[Tensor, "members batch"]:

@@ -169,12 +169,8 @@ def expected_log_density(
 ) -> Float[Tensor, "*batch components"]:
     """Expected log density `E_f[log w_j m_j]` of each Gaussian under each component, in nats.
 
-    It is linear in the first two moments of the Gaussian: one matrix product for all pairs. The
-    product is taken in float64, because sharp Gaussians leave small differences of large squares.
+    It is linear in the first two moments of the Gaussian: one matrix product for all pairs.
     """
-    dtype = loc.dtype
-    loc, log_var = loc.double(), log_var.double()
-    component_loc, component_log_var = component_loc.double(), component_log_var.double()
     precision = torch.exp(-component_log_var)
     weighted_loc = component_loc * precision
     moments = torch.cat([log_var.exp() + loc.square(), loc], dim=-1)
@@ -182,7 +178,7 @@ def expected_log_density(
     offset = -0.5 * (component_log_var + component_loc * weighted_loc + LOG_TWO_PI).sum(-1)
     offset = offset + _log_weight(component_loc, component_log_weight)
     product = torch.addmm(offset, moments.reshape(-1, moments.shape[-1]), slopes.mT)
-    return product.to(dtype).reshape(*moments.shape[:-1], -1)
+    return product.reshape(*moments.shape[:-1], -1)
 
 
 def _pairwise_information(

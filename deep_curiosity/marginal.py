@@ -74,6 +74,9 @@ class NextStateMarginal(nn.Module):
         self.register_buffer("log_weight", torch.full((components,), -math.inf))
         self.register_buffer("log_spread", torch.full((dim,), -math.inf))
         self.register_buffer("num_seen", torch.zeros((), dtype=torch.long))
+        self.is_empty = True
+        """Whether no state has been seen yet."""
+        self.register_load_state_dict_post_hook(_look_whether_empty)
 
     @torch.no_grad()
     def refresh(
@@ -89,11 +92,7 @@ class NextStateMarginal(nn.Module):
         log_count = filled.sum().to(loc.dtype).log()
         self.log_weight.copy_(torch.where(filled, -log_count, -math.inf))
         self._fit_bandwidth(filled)
-
-    @property
-    def is_empty(self) -> bool:
-        """Whether no state has been seen yet."""
-        return self.num_seen.item() == 0
+        self.is_empty = False
 
     @property
     def component_log_var(self) -> Float[Tensor, "components dim"]:
@@ -150,6 +149,10 @@ class NextStateMarginal(nn.Module):
             else:
                 high = middle
         return 0.5 * (low + high)
+
+
+def _look_whether_empty(marginal: NextStateMarginal, _: object) -> None:
+    marginal.is_empty = marginal.num_seen.item() == 0
 
 
 def silverman_log_bandwidth(num_points: int, dim: int) -> float:

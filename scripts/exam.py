@@ -46,9 +46,10 @@ CURIOUS = Settings(
     log_interval=1_000,
 )
 CLEVER = replace(CURIOUS, env_id="CleverRandom", curiosity_discount=0.0)
+SPLIT = replace(CLEVER, temperature=0.06, replay_capacity=20_000)  # entropy alone decides a tie
 RELIABLE = replace(CURIOUS, env_id="ReliableUnreliable", prior="learned")
 QUESTIONS = {
-    "clever random, uniform prior": CLEVER,
+    "clever random, uniform prior": SPLIT,
     "clever random, learned prior": replace(CLEVER, prior="learned"),
     "reliable, one step": replace(RELIABLE, curiosity_discount=0.0),
     "reliable, far-sighted": replace(RELIABLE, curiosity_discount=0.97),
