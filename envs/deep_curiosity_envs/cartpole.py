@@ -80,7 +80,7 @@ class CartpoleSwingup(MujocoTask):
             self.cart_speed / CART_SPEED_SCALE,
             self.pole_speed / POLE_SPEED_SCALE,
         )
-        return np.stack(features, axis=-1)
+        return np.array(features).T
 
     def get_reward(self) -> Array64:
         """One while upright, slow and centred, else zero."""

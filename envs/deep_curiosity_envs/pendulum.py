@@ -60,7 +60,7 @@ class PendulumSwingup(MujocoTask):
     def get_observation(self) -> Array64:
         """Direction of the pole and its scaled speed."""
         angle, speed = self.pole_angle, self.pole_speed
-        return np.stack((np.cos(angle), np.sin(angle), speed / SPEED_SCALE), axis=-1)
+        return np.array((np.cos(angle), np.sin(angle), speed / SPEED_SCALE)).T
 
     def get_reward(self) -> Array64:
         """One while upright and slow, else zero."""

@@ -6,7 +6,7 @@ from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from deep_curiosity_envs.mujoco_task import Array, Array64, MujocoTask, load_spec
 from deep_curiosity_envs.vector import MujocoVectorEnv
@@ -70,10 +70,10 @@ def cell_centre(cell: Cell) -> tuple[float, float]:
     return x, y
 
 
-def cell_at(x: ArrayLike, y: ArrayLike) -> tuple[Array, Array]:
+def cell_at(x: Array64, y: Array64) -> tuple[Array, Array]:
     """Rows and columns of the cells that hold points of the arena, coordinates in m."""
-    row = np.floor(len(MAZE) / 2 - np.divide(y, CELL_SIZE))
-    column = np.floor(np.divide(x, CELL_SIZE) + len(MAZE[0]) / 2)
+    row = np.floor(len(MAZE) / 2 - y / CELL_SIZE)
+    column = np.floor(x / CELL_SIZE + len(MAZE[0]) / 2)
     return row.astype(int), column.astype(int)
 
 
@@ -169,7 +169,7 @@ class PointMaze(MujocoTask):
 
     def get_reward(self) -> Array64:
         """One in the goal, else zero."""
-        return (self.goal_distance < GOAL_RADIUS).astype(np.float64)
+        return np.where(self.goal_distance < GOAL_RADIUS, 1.0, 0.0)
 
     def is_terminated(self) -> Array:
         """Whether the goal has been reached and ends the episode."""

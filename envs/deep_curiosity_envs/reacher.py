@@ -54,7 +54,7 @@ class ReacherSparse(MujocoTask):
         forearm = upper_arm + self.qpos[..., 1]
         x = self._upper_arm_length * np.cos(upper_arm) + self._forearm_length * np.cos(forearm)
         y = self._upper_arm_length * np.sin(upper_arm) + self._forearm_length * np.sin(forearm)
-        return np.stack((x, y), axis=-1)
+        return np.array((x, y)).T
 
     @property
     def fingertip_to_target(self) -> Array64:
@@ -81,7 +81,8 @@ class ReacherSparse(MujocoTask):
 
     def get_reward(self) -> Array64:
         """One while the fingertip is in the target, else zero."""
-        distance = np.hypot(*np.moveaxis(self.fingertip_to_target, -1, 0))
+        error = self.fingertip_to_target
+        distance = np.hypot(error[..., 0], error[..., 1])
         return tolerance(distance, bounds=(0.0, TARGET_RADIUS))
 
 

@@ -1,23 +1,24 @@
 """What a task pays and when it counts as solved: functions and memory free of the simulator."""
 
 import math
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
+
+Array64 = NDArray[np.float64]
 
 
-def wrap_angle(angle: NDArray[np.float64]) -> NDArray[np.float64]:
+def wrap_angle(angle: Array64) -> Array64:
     """The same angle in [-pi, pi], in rad."""
     return angle - math.tau * np.rint(angle / math.tau)
 
 
 def tolerance(
-    value: ArrayLike,
+    value: Array64,
     bounds: tuple[float, float],
     margin: float = 0.0,
     value_at_margin: float = 0.1,
-) -> NDArray[np.float64]:
+) -> Array64:
     r"""Degree in [0, 1] to which a value lies within its bounds.
 
     With :math:`d` the distance to the nearest bound, the degree is one inside and outside
@@ -37,13 +38,12 @@ def tolerance(
             `value_at_margin` does not lie strictly between zero and one.
 
     Example:
-        >>> tolerance([0.0, 1.5], bounds=(-1.0, 1.0), margin=0.5)
+        >>> tolerance(np.array([0.0, 1.5]), bounds=(-1.0, 1.0), margin=0.5)
         array([1. , 0.1])
     """
     _check_tolerance(bounds, margin, value_at_margin)
-    value = np.asarray(value, dtype=np.float64)
     if margin == 0.0:
-        return ((bounds[0] <= value) & (value <= bounds[1])).astype(np.float64)
+        return np.where((bounds[0] <= value) & (value <= bounds[1]), 1.0, 0.0)
     distance = np.maximum(np.maximum(bounds[0] - value, value - bounds[1]), 0.0)
     return value_at_margin ** np.square(distance / margin)
 
@@ -74,13 +74,12 @@ class Hold:
         self.achieved = np.zeros(shape, dtype=bool)
         self._streak = np.zeros(shape, dtype=int)
 
-    def reset(self, worlds: Any = ...) -> None:
-        """Forget everything of some worlds, or of all, as at the start of an episode."""
-        self._streak[worlds] = 0
-        self.achieved[worlds] = False
+    def reset(self, mask: NDArray[np.bool_] | bool = True) -> None:
+        """Forget everything, as at the start of an episode, in all worlds or where the mask is."""
+        self._streak = self._streak * np.logical_not(mask)
+        self.achieved = self.achieved & np.logical_not(mask)
 
-    def update(self, condition: ArrayLike) -> None:
+    def update(self, condition: NDArray[np.bool_]) -> None:
         """Count one more step, or start again from zero where the condition fails."""
-        self._streak += 1
-        self._streak *= np.asarray(condition, dtype=bool)
-        self.achieved |= self._streak >= self.num_steps
+        self._streak = (self._streak + 1) * condition
+        self.achieved = self.achieved | (self._streak >= self.num_steps)

@@ -1,8 +1,6 @@
 """Many worlds of one task, stepped by MuJoCo in a single call."""
 
-import ctypes
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import mujoco
@@ -11,6 +9,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from mujoco.rollout import Rollout
 
+from deep_curiosity_envs.clock import clock_stopped
 from deep_curiosity_envs.mujoco_task import Array, Array32, Array64, MujocoTask, check_action
 
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS  # what `mujoco.rollout` takes and gives back
@@ -110,6 +109,8 @@ class MujocoVectorEnv(VectorEnv[Array32, Array32, Array]):
             raise ValueError(f"`seed` must have {self.num_envs} entries, got {len(seed)}.")
         for world in np.flatnonzero(mask).tolist():
             self._begin_episode(world, seed[world])
+        self._worlds.hold.reset(mask)
+        self._elapsed[mask] = 0
         return self._worlds.observe(), _masked(self._worlds.inform(), mask)
 
     def step(self, actions: Array32) -> tuple[Array32, Array64, Array, Array, dict[str, Any]]:
@@ -138,7 +139,7 @@ class MujocoVectorEnv(VectorEnv[Array32, Array32, Array]):
 
     def _simulate(self, control: Array64) -> None:
         self._control[:, :, : control.shape[1]] = control[:, None]
-        with _clock_stopped():
+        with clock_stopped():
             self._rollout.rollout(
                 self._models,
                 [self._task.data],
@@ -159,8 +160,6 @@ class MujocoVectorEnv(VectorEnv[Array32, Array32, Array]):
         self._generators[world] = task.np_random
         mujoco.mj_getState(task.model, task.data, self._state[world], STATE)
         self._control[world, :, task.model.nu :] = task.mocap_pos.ravel()
-        self._worlds.hold.reset(world)
-        self._elapsed[world] = 0
 
 
 def _masked(info: dict[str, Array], mask: Array) -> dict[str, Array]:
@@ -177,31 +176,3 @@ def _final(observation: Array32, info: dict[str, Array], done: Array) -> dict[st
         final_obs[world] = observation[world]
     final = {"final_obs": final_obs, "final_info": _masked(info, done)}
     return final | {f"_{name}": done.copy() for name in final}
-
-
-@contextmanager
-def _clock_stopped() -> Iterator[None]:
-    """Spare MuJoCo from reading the clock dozens of times in every physics step.
-
-    MuJoCo's Python package times every stage for `MjData.timer`, which costs half of a small
-    model's step, and has no switch for it; MuJoCo itself does so only where `mjcb_time` is set.
-    """
-    if _CLOCK is None:
-        yield
-        return
-    clock, _CLOCK.value = _CLOCK.value, None
-    try:
-        yield
-    finally:
-        _CLOCK.value = clock
-
-
-def _find_clock() -> ctypes.c_void_p | None:
-    """MuJoCo's pointer to its clock, or None on a system that does not show it."""
-    try:
-        return ctypes.c_void_p.in_dll(ctypes.CDLL(mujoco._callbacks.__file__), "mjcb_time")
-    except (AttributeError, OSError, ValueError):
-        return None
-
-
-_CLOCK = _find_clock()

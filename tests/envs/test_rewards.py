@@ -38,7 +38,7 @@ def test_tolerance_rejects_what_has_no_meaning(kwargs, name):
 
 
 def test_tolerance_takes_every_shape():
-    value = [[-2.0, 0.0], [0.5, 3.0]]
+    value = np.array([[-2.0, 0.0], [0.5, 3.0]])
     assert tolerance(value, bounds=(-1.0, 1.0)).tolist() == [[0, 1], [1, 0]]
     assert tolerance(value, bounds=(-1.0, 1.0), margin=1.0)[0] == pytest.approx([0.1, 1.0])
 
@@ -69,14 +69,12 @@ def test_hold_stays_achieved_until_reset():
 
 def test_hold_follows_worlds_side_by_side():
     hold = Hold(2, num_worlds=3)
-    for condition in ([True, True, False], [True, False, True]):
-        hold.update(condition)
+    for condition in ([True, True, False], [True, False, False], [False, False, True]):
+        hold.update(np.array(condition))
     assert hold.achieved.tolist() == [True, False, False]
-    hold.reset([0, 2])
-    hold.update([True, True, True])
-    assert not hold.achieved.any()
-    hold.update([True, True, False])
-    assert hold.achieved.tolist() == [True, True, False]
+    hold.reset(np.array([True, True, False]))
+    hold.update(np.array([True, True, True]))
+    assert hold.achieved.tolist() == [False, False, True]
 
 
 def test_hold_rejects_zero_steps():
