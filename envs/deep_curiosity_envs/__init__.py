@@ -49,7 +49,7 @@ def _register(task: type[gymnasium.Env], num_steps: int) -> str:
         gymnasium.register(
             task_id,
             entry_point=entry_point,
-            vector_entry_point=f"{entry_point}Vector",
+            vector_entry_point=f"{entry_point}Vector" if issubclass(task, MujocoTask) else None,
             max_episode_steps=num_steps,
         )
     return task_id
