@@ -1,6 +1,8 @@
 """Environments the agent can live in: found by id, checked at the door, brought to one form."""
 
 import difflib
+import multiprocessing
+import signal
 from collections.abc import Mapping
 from functools import partial
 from typing import Any, Literal
@@ -80,7 +82,8 @@ def make_vector_environment(
         )
     make_one = partial(make_environment, env_id, env_kwargs)
     if vectorization == "async":
-        return AsyncVectorEnv([make_one] * num_envs, autoreset_mode=AutoresetMode.DISABLED)
+        make_worker = partial(_make_in_worker, env_id, env_kwargs)
+        return AsyncVectorEnv([make_worker] * num_envs, autoreset_mode=AutoresetMode.DISABLED)
     if vectorization == "sync" or not has_native:
         return SyncVectorEnv([make_one] * num_envs, autoreset_mode=AutoresetMode.DISABLED)
     return gymnasium.make_vec(
@@ -137,6 +140,13 @@ def observation_dim(environment: gymnasium.Env) -> int:
 def action_dim(environment: gymnasium.Env) -> int:
     """Length of an action of an environment made here."""
     return int(np.prod(environment.action_space.shape or ()))
+
+
+def _make_in_worker(env_id: str, env_kwargs: Mapping[str, Any] | None) -> gymnasium.Env:
+    """Make an environment; a process of its own leaves Ctrl-C to the one that steps it."""
+    if multiprocessing.parent_process() is not None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    return make_environment(env_id, env_kwargs)
 
 
 def _registered_id(env_id: str) -> str:

@@ -1,3 +1,6 @@
+import os
+import signal
+
 import gymnasium
 import numpy as np
 import pytest
@@ -108,6 +111,18 @@ def test_worlds_are_made_in_the_way_that_is_asked_for(env_id, vectorization, kin
     assert np.array_equal(observation[0], one.reset(seed=3)[0])
     infos = worlds.step(np.full((2, *one.action_space.shape), 0.5, np.float32))[4]
     assert infos["is_success"].tolist() == [False, False]
+    worlds.close()
+
+
+def test_ctrl_c_is_left_to_the_process_that_steps():
+    handler = signal.getsignal(signal.SIGINT)
+    worlds = make_vector_environment("PendulumSwingup", num_envs=2, vectorization="async")
+    assert signal.getsignal(signal.SIGINT) is handler
+    worlds.reset(seed=0)
+    for process in worlds.processes:
+        os.kill(process.pid, signal.SIGINT)
+    for _ in range(3):
+        worlds.step(np.zeros((2, 1), np.float32))
     worlds.close()
 
 
