@@ -87,6 +87,35 @@ class ReplayBuffer:
         self._rows[self._num_added % self.capacity] = torch.from_numpy(row)
         self._num_added += 1
 
+    def extend(
+        self,
+        observation: np.ndarray,
+        action: np.ndarray,
+        reward: np.ndarray,
+        next_observation: np.ndarray,
+        terminated: np.ndarray,
+        truncated: np.ndarray,
+    ) -> None:
+        """Append several transitions at once, their axis leading, as if they came one by one.
+
+        Raises:
+            ValueError: If a shape is wrong or a value is NaN or infinite; nothing is then stored.
+        """
+        num_rows = len(observation)
+        fields = {
+            "observation": (observation, (num_rows, self.observation_dim)),
+            "action": (action, (num_rows, self.action_dim)),
+            "reward": (reward, (num_rows,)),
+            "next_observation": (next_observation, (num_rows, self.observation_dim)),
+            "terminated": (terminated, (num_rows,)),
+            "truncated": (truncated, (num_rows,)),
+        }
+        parts = [_finite_rows(name, *field) for name, field in fields.items()]
+        newest = torch.from_numpy(np.concatenate(parts, axis=1))[-self.capacity :]
+        self._num_added += num_rows
+        slot = torch.arange(self._num_added - len(newest), self._num_added) % self.capacity
+        self._rows[slot.to(self._rows.device)] = newest.to(self._rows.device)
+
     def sample(self, batch_size: int) -> Transition:
         """Draw transitions uniformly, with replacement.
 
@@ -215,6 +244,19 @@ def _finite_vector(name: str, value: Vector, dim: int) -> np.ndarray:
     if not np.isfinite(vector).all():
         raise ValueError(f"`{name}` must be finite, got {vector.tolist()}.")
     return vector
+
+
+def _finite_rows(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    with np.errstate(over="ignore"):
+        array = np.asarray(value, dtype=np.float32)
+    if array.shape != shape:
+        raise ValueError(f"`{name}` must have shape {shape}, got {array.shape}.")
+    rows = array.reshape(len(array), -1)
+    finite = np.isfinite(rows).all(1)
+    if not finite.all():
+        row = int(np.argmin(finite))
+        raise ValueError(f"`{name}` must be finite, got {rows[row].tolist()} in row {row}.")
+    return rows
 
 
 def _oldest_first(buffer: "TorchRLReplayBuffer") -> Any:

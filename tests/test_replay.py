@@ -253,3 +253,37 @@ def test_seed_of_the_copy_decides_its_draws(torchrl_data):
     buffer = filled(8).to_torchrl()
     draws = [ReplayBuffer.from_torchrl(buffer, seed=seed).sample(50) for seed in (1, 1, 2)]
     assert equal(draws[0], draws[1]) and not equal(draws[0], draws[2])
+
+
+def batch(first, count):
+    numbers = np.arange(first, first + count)
+    observation = numbers[:, None] + np.array([0.0, 0.1, 0.2])
+    action = numbers[:, None] + np.array([0.3, 0.4])
+    ends = numbers % 3 == 0, numbers % 4 == 0
+    return observation, action, numbers + 0.5, observation + 100, *ends
+
+
+@pytest.mark.parametrize("counts", [(5,), (3, 3), (8,), (3, 7, 1), (5, 20), (1, 30, 2)])
+def test_several_at_once_are_kept_as_if_they_came_one_by_one(counts):
+    replay, first = ReplayBuffer(8, 3, 2), 0
+    for count in counts:
+        replay.extend(*batch(first, count))
+        first += count
+    assert equal(replay.all(), filled(first).all())
+    assert equal(replay.sample(20), filled(first).sample(20))
+
+
+@pytest.mark.parametrize("name", ["observation", "action", "reward", "next_observation"])
+def test_several_with_one_that_is_not_finite_are_all_refused(name):
+    replay = filled(3)
+    values = dict(zip(Transition._fields, batch(3, 4), strict=True))
+    values[name][2] = math.nan
+    with pytest.raises(ValueError, match=rf"`{name}` must be finite, got \[nan.* in row 2"):
+        replay.extend(**values)
+    assert equal(replay.all(), filled(3).all())
+
+
+def test_several_of_unequal_number_are_refused():
+    values = batch(0, 4)
+    with pytest.raises(ValueError, match=r"`reward` must have shape \(4,\), got \(3,\)"):
+        ReplayBuffer(8, 3, 2).extend(*values[:2], values[2][:3], *values[3:])

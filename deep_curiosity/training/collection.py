@@ -1,4 +1,4 @@
-"""Collection: one environment, stepped with full knowledge of how to get back to any step."""
+"""Collection: environments stepped with full knowledge of how to get back to any step."""
 
 import math
 from collections.abc import Callable
@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import gymnasium
 import numpy as np
 import torch
+from gymnasium.vector import AutoresetMode, VectorEnv
 from torch import Tensor
 
 
@@ -37,6 +38,17 @@ class EnvironmentStep(NamedTuple):
     truncated: bool
 
 
+class EnvironmentSteps(NamedTuple):
+    """One step of each of several worlds, their axis leading."""
+
+    observation: np.ndarray
+    action: np.ndarray
+    reward: np.ndarray
+    next_observation: np.ndarray
+    terminated: np.ndarray
+    truncated: np.ndarray
+
+
 class Collector:
     """Steps an environment from episode to episode.
 
@@ -59,21 +71,21 @@ class Collector:
         """What the environment said of the newest step."""
         self._start()
 
-    def step(self, action: np.ndarray) -> tuple[EnvironmentStep, Episode | None]:
-        """Step the environment; return the step, and the episode where this step ended it."""
+    def step(self, action: np.ndarray) -> tuple[EnvironmentStep, list[Episode]]:
+        """Step the environment; return the step, and the episode if this step ended it."""
         next_observation, reward, terminated, truncated, self.info = self.environment.step(action)
         step = EnvironmentStep(
             self.observation, action, float(reward), next_observation, terminated, truncated
         )
         self.actions.append(np.array(action))
-        self.episode = self.episode.after(step.reward, self.info)
+        self.episode = self.episode.after(float(reward), self.info)
         self.observation = next_observation
         if not (terminated or truncated):
-            return step, None
+            return step, []
         finished = self.episode
         self.num_episodes += 1
         self._start()
-        return step, finished
+        return step, [finished]
 
     def state_dict(self) -> dict[str, Any]:
         """Number of the episode and the actions taken in it."""
@@ -93,19 +105,126 @@ class Collector:
         self._start()
         for action in state["actions"]:
             self.step(action.numpy())
-        expected = state["observation"].numpy()
-        if not np.array_equal(self.observation, expected):
-            raise RuntimeError(
-                "the environment must repeat an episode from its seed and actions to be resumed; "
-                f"after {len(self.actions)} steps it gave {self.observation.tolist()}, before "
-                f"{expected.tolist()}."
-            )
+        _check_repeated(self.observation, state["observation"].numpy(), len(self.actions))
 
     def _start(self) -> None:
-        seed = np.random.SeedSequence((self.seed, self.num_episodes)).generate_state(1)[0]
-        self.observation, _ = self.environment.reset(seed=int(seed))
+        seed = _episode_seed(self.seed, self.num_episodes)
+        self.observation, _ = self.environment.reset(seed=seed)
         self.actions = []
         self.episode = Episode()
+
+
+class VectorCollector:
+    """Steps several worlds side by side, each from episode to episode.
+
+    Episodes are numbered in the order in which they begin, in whichever world, and reset with a
+    seed of their own, as in `Collector`. So a resumed run comes back to every world's step in any
+    vector environment whose worlds repeat themselves, native, in turn or in processes.
+
+    Args:
+        environment: Takes actions in [-1, 1]; its autoreset is disabled, so that what a step
+            returns is the true successor also where an episode ends.
+        seed: Together with the number of the episode it seeds every reset.
+
+    Raises:
+        ValueError: If the environment resets by itself.
+    """
+
+    def __init__(self, environment: VectorEnv, seed: int) -> None:
+        mode = environment.metadata.get("autoreset_mode")
+        if mode is not AutoresetMode.DISABLED:
+            raise ValueError(f"`environment` must have its autoreset disabled, got {mode}.")
+        self.environment = environment
+        self.seed = seed
+        self.num_episodes = 0
+        """Begun so far, in all worlds."""
+        self.info: dict[str, Any] = {}
+        """What the worlds said of the newest step."""
+        self.actions: list[np.ndarray] = []
+        """Of all worlds, `(num_envs, action_dim)` each, since the oldest episode began."""
+        self._number = np.zeros(environment.num_envs, dtype=int)  # of the episode in each world
+        self._length = np.zeros(environment.num_envs, dtype=int)
+        self._return = np.zeros(environment.num_envs)
+        self._success = np.zeros(environment.num_envs)
+        space = environment.observation_space
+        self.observation = np.zeros(space.shape or (), dtype=space.dtype)
+        self._start(np.ones(environment.num_envs, dtype=bool))
+
+    def step(self, action: np.ndarray) -> tuple[EnvironmentSteps, list[Episode]]:
+        """Step every world once; return the steps, and the episodes that they ended."""
+        next_observation, reward, terminated, truncated, self.info = self.environment.step(action)
+        steps = EnvironmentSteps(
+            self.observation, action, reward, next_observation, terminated, truncated
+        )
+        self.actions.append(np.array(action))
+        self._length += 1
+        self._return += reward
+        if "is_success" in self.info:
+            self._success = np.fmax(self._success, self.info["is_success"])
+        self.observation = next_observation
+        done = terminated | truncated
+        finished = [
+            Episode(float(self._return[i]), int(self._length[i]), float(self._success[i]))
+            for i in np.flatnonzero(done)
+        ]
+        self._start(done)
+        return steps, finished
+
+    def state_dict(self) -> dict[str, Any]:
+        """Number and length of the episode in every world, and the actions taken in them."""
+        return {
+            "num_episodes": self.num_episodes,
+            "number": torch.tensor(self._number),
+            "length": torch.tensor(self._length),
+            "actions": torch.from_numpy(np.array(self.actions)),
+            "observation": torch.tensor(self.observation),
+        }
+
+    def load_state_dict(self, state: dict[str, Any]) -> None:
+        """Come back to a step by acting again, each world joining where its episode began.
+
+        Raises:
+            RuntimeError: If a world does not come back to the same observation.
+        """
+        number, length = state["number"].numpy(), state["length"].numpy()
+        oldest = len(state["actions"])
+        for step, action in enumerate(state["actions"]):
+            self._start(length == oldest - step, number)
+            self.step(action.numpy())
+        self._start(length == 0, number)
+        self.num_episodes = state["num_episodes"]
+        _check_repeated(self.observation, state["observation"].numpy(), oldest)
+
+    def _start(self, mask: np.ndarray, number: np.ndarray | None = None) -> None:
+        """Begin episodes where the mask is, the next ones unless their numbers are given."""
+        if not mask.any():
+            return
+        if number is None:
+            number = self.num_episodes + np.cumsum(mask) - 1
+            self.num_episodes += int(mask.sum())
+        self._number[mask] = number[mask]
+        start, _ = self.environment.reset(
+            seed=[  # type: ignore[arg-type]  # every vector environment takes a list
+                _episode_seed(self.seed, int(number[world])) if chosen else None
+                for world, chosen in enumerate(mask)
+            ],
+            options={"reset_mask": mask},
+        )
+        self.observation = np.where(mask[:, None], start, self.observation)
+        self._length[mask], self._return[mask], self._success[mask] = 0, 0.0, math.nan
+        self.actions = self.actions[len(self.actions) - self._length.max() :]
+
+
+def _episode_seed(seed: int, number: int) -> int:
+    return int(np.random.SeedSequence((seed, number)).generate_state(1)[0])
+
+
+def _check_repeated(observation: np.ndarray, expected: np.ndarray, num_steps: int) -> None:
+    if not np.array_equal(observation, expected):
+        raise RuntimeError(
+            "the environment must repeat an episode from its seed and actions to be resumed; "
+            f"after {num_steps} steps it gave {observation.tolist()}, before {expected.tolist()}."
+        )
 
 
 def evaluate(
@@ -123,12 +242,10 @@ def evaluate(
     finished: list[Episode] = []
     while len(finished) < episodes:
         action = act(as_batch(collector.observation))[0].numpy()
-        _, episode = collector.step(action)
-        if episode is not None:
-            finished.append(episode)
+        finished += collector.step(action)[1]
     return finished
 
 
 def as_batch(observation: np.ndarray) -> Tensor:
-    """One observation as a float32 batch of one."""
-    return torch.from_numpy(np.asarray(observation, dtype=np.float32)).unsqueeze(0)
+    """Observations as a float32 batch, a single one as a batch of one."""
+    return torch.from_numpy(np.atleast_2d(np.asarray(observation, dtype=np.float32)))

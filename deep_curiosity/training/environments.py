@@ -1,12 +1,16 @@
 """Environments the agent can live in: found by id, checked at the door, brought to one form."""
 
 import difflib
+import multiprocessing
+import signal
 from collections.abc import Mapping
-from typing import Any
+from functools import partial
+from typing import Any, Literal
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv
 
 import deep_curiosity_envs
 
@@ -46,6 +50,49 @@ def make_environment(
         environment = _TerminationIsSuccess(environment)
     low, high = np.array([-1.0, 1.0], environment.action_space.dtype)
     return gymnasium.wrappers.RescaleAction(environment, low, high)
+
+
+def make_vector_environment(
+    env_id: str,
+    env_kwargs: Mapping[str, Any] | None = None,
+    *,
+    num_envs: int,
+    vectorization: Literal["auto", "native", "sync", "async"] = "auto",
+) -> VectorEnv[np.ndarray, np.ndarray, np.ndarray]:
+    """Make several worlds of what `make_environment` makes, which reset only when they are told.
+
+    Args:
+        env_id: As in `make_environment`.
+        env_kwargs: As in `make_environment`.
+        num_envs: How many worlds.
+        vectorization: `"native"` steps the MuJoCo tasks of this package in one call of MuJoCo;
+            `"sync"` steps any task world by world, `"async"` each in a process of its own;
+            `"auto"` is native where it can be, else sync.
+
+    Raises:
+        ValueError: If a native environment is asked for where there is none, or
+            `make_environment` raises it.
+    """
+    env_id = _registered_id(env_id)
+    has_native = env_id in deep_curiosity_envs.TASK_IDS
+    if vectorization == "native" and not has_native:
+        raise ValueError(
+            f"`vectorization` must be 'auto', 'sync' or 'async' for {env_id}, got 'native', which "
+            f"is for {', '.join(deep_curiosity_envs.TASK_IDS)}."
+        )
+    make_one = partial(make_environment, env_id, env_kwargs)
+    if vectorization == "async":
+        make_worker = partial(_make_in_worker, env_id, env_kwargs)
+        return AsyncVectorEnv([make_worker] * num_envs, autoreset_mode=AutoresetMode.DISABLED)
+    if vectorization == "sync" or not has_native:
+        return SyncVectorEnv([make_one] * num_envs, autoreset_mode=AutoresetMode.DISABLED)
+    return gymnasium.make_vec(
+        env_id,
+        num_envs,
+        "vector_entry_point",
+        autoreset_mode=AutoresetMode.DISABLED,
+        **(env_kwargs or {}),
+    )
 
 
 def check_spaces(observation_space: spaces.Space, action_space: spaces.Space) -> None:
@@ -93,6 +140,13 @@ def observation_dim(environment: gymnasium.Env) -> int:
 def action_dim(environment: gymnasium.Env) -> int:
     """Length of an action of an environment made here."""
     return int(np.prod(environment.action_space.shape or ()))
+
+
+def _make_in_worker(env_id: str, env_kwargs: Mapping[str, Any] | None) -> gymnasium.Env:
+    """Make an environment; a process of its own leaves Ctrl-C to the one that steps it."""
+    if multiprocessing.parent_process() is not None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+    return make_environment(env_id, env_kwargs)
 
 
 def _registered_id(env_id: str) -> str:

@@ -5,6 +5,8 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+import numpy as np
+
 from deep_curiosity.training.collection import Episode
 
 EPISODE_LISTS = ("episodes", "evaluations")
@@ -28,15 +30,15 @@ class History:
     wall_seconds: float = 0.0
 
     def saw(self, info: dict[str, Any]) -> None:
-        """Note what the environment said of the step just taken."""
-        if self.first_success_step is None and info.get("is_success"):
+        """Note what the environment, or each of several, said of the step just taken."""
+        if self.first_success_step is None and np.any(info.get("is_success", False)):
             self.first_success_step = self.step
-        if "cell" in info:
-            self.cells.setdefault(int(info["cell"]), self.step)
+        for cell in np.ravel(info.get("cell", ())).tolist():
+            self.cells.setdefault(int(cell), self.step)
 
-    def learned(self, seconds: float) -> None:
-        """Count a step that included an update."""
-        self.learning_steps += 1
+    def learned(self, num_steps: int, seconds: float) -> None:
+        """Count environment steps, taken once learning has begun."""
+        self.learning_steps += num_steps
         self.learning_seconds += seconds
 
     @property

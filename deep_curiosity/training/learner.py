@@ -11,7 +11,7 @@ from deep_curiosity.baselines import ConstantBonus
 from deep_curiosity.bonus import Bonus
 from deep_curiosity.curiosity import CuriosityBonus
 from deep_curiosity.replay import ReplayBuffer
-from deep_curiosity.training.collection import EnvironmentStep, as_batch
+from deep_curiosity.training.collection import EnvironmentStep, EnvironmentSteps, as_batch
 from deep_curiosity.training.settings import Settings
 
 
@@ -42,18 +42,27 @@ class Learner:
         )
 
     def act(self, observation: np.ndarray, *, explore_uniformly: bool = False) -> np.ndarray:
-        """Draw an action in [-1, 1] from the policy, or from the whole action box."""
+        """Draw actions in [-1, 1] from the policy, or from the whole action box.
+
+        Args:
+            observation: `(observation_dim,)`, or `(num_envs, observation_dim)` for an action each.
+            explore_uniformly: Leave the policy aside.
+        """
+        shape = (*observation.shape[:-1], self.agent.action_dim)
         if explore_uniformly:
-            return (2 * torch.rand(self.agent.action_dim) - 1).numpy()
-        return self.agent.act(as_batch(observation))[0].numpy()
+            return (2 * torch.rand(shape) - 1).numpy()
+        return self.agent.act(as_batch(observation)).reshape(shape).numpy()
 
     def act_deterministically(self, observation: Tensor) -> Tensor:
         """Centre of the policy at each observation."""
         return self.agent.act(observation, deterministic=True)
 
-    def store(self, step: EnvironmentStep) -> None:
-        """Keep a step in replay."""
-        self.replay.add(*step)
+    def store(self, step: EnvironmentStep | EnvironmentSteps) -> None:
+        """Keep the step of one world, or of several, in replay."""
+        if isinstance(step, EnvironmentSteps):
+            self.replay.extend(*step)
+        else:
+            self.replay.add(*step)
 
     def update(self) -> dict[str, Tensor]:
         """One gradient step on the bonus's models and on every part of the agent."""

@@ -3,6 +3,7 @@
 import time
 from typing import Any
 
+from torch import Tensor
 from tqdm import tqdm
 
 from deep_curiosity.training.interruption import catch_interruption
@@ -34,18 +35,20 @@ def train(settings: Settings, *, show_progress: bool = True) -> dict[str, Any]:
         learner, collector = run.learner, run.collector
         bar = tqdm(total=settings.total_steps, initial=history.step, disable=not show_progress)
 
-        # 2. Repeat at every time step
+        metrics: dict[str, Tensor] = {}
+
+        # 2. Repeat at every time step, in all worlds at once
         while not run.finished and not interruption.requested:
             step_started = time.perf_counter()
-            history.step += 1
-            learning = history.step > settings.learning_starts
+            learning = history.step >= settings.learning_starts
+            history.step += settings.num_envs
 
             # (d) Choose an action, obtain reward and next state; both are kept as they are
             action = learner.act(collector.observation, explore_uniformly=not learning)
-            step, episode = collector.step(action)
+            step, finished = collector.step(action)
             learner.store(step)
             history.saw(collector.info)
-            if episode is not None:
+            for episode in finished:
                 history.episodes.append(episode)
                 run.records.scalars(
                     history.step,
@@ -54,18 +57,19 @@ def train(settings: Settings, *, show_progress: bool = True) -> dict[str, Any]:
 
             # (a, b, c, e) Renew the model, p(x'), the values, the policy, p(a) and the temperature
             if learning:
-                metrics = learner.update()
-                history.learned(time.perf_counter() - step_started)
+                for _ in range(run.updates_due):
+                    metrics = learner.update()
+                history.learned(settings.num_envs, time.perf_counter() - step_started)
 
             # Evaluate without noise, log, keep a checkpoint
-            if history.step % settings.evaluation_interval == 0 or run.finished:
+            if run.reached(settings.evaluation_interval) or run.finished:
                 run.evaluate()
-            if learning and (history.step % settings.log_interval == 0 or run.finished):
+            if metrics and (run.reached(settings.log_interval) or run.finished):
                 values = run.progress(metrics)
                 bar.set_postfix_str(_postfix(values), refresh=False)
-            if history.step % settings.checkpoint_interval == 0:
+            if run.reached(settings.checkpoint_interval):
                 run.save()
-            bar.update()
+            bar.update(min(history.step, settings.total_steps) - bar.n)
 
         # 3. Close
         bar.close()

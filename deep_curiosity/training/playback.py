@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from deep_curiosity.agent import CuriousActorCritic
 from deep_curiosity.training.checkpoint import load_checkpoint
-from deep_curiosity.training.collection import Collector, as_batch
+from deep_curiosity.training.collection import Collector, Episode, as_batch
 from deep_curiosity.training.environments import action_dim, observation_dim
 from deep_curiosity.training.learner import make_agent
 from deep_curiosity.training.settings import Settings
@@ -38,11 +38,11 @@ def record_episode(
     """
     collector = Collector(environment, seed)
     frames = [_frame(environment)]
-    episode = None
-    while episode is None:
+    finished: list[Episode] = []
+    while not finished:
         action = agent.act(as_batch(collector.observation), deterministic=True)[0].numpy()
-        _, episode = collector.step(action)
-        if episode is None:
+        _, finished = collector.step(action)
+        if not finished:
             frames.append(_frame(environment))
     return frames
 

@@ -6,6 +6,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields, replace
+from fractions import Fraction
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -15,10 +16,11 @@ import torch
 from torch import Tensor
 
 from deep_curiosity.training.checkpoint import load_checkpoint, save_checkpoint
-from deep_curiosity.training.collection import Collector, evaluate
+from deep_curiosity.training.collection import Collector, VectorCollector, evaluate
 from deep_curiosity.training.environments import (
     action_dim,
     make_environment,
+    make_vector_environment,
     num_cells,
     observation_dim,
 )
@@ -43,10 +45,9 @@ class Run:
     """The parts of a run."""
 
     settings: Settings
-    environment: gymnasium.Env
     evaluation_environment: gymnasium.Env
     learner: Learner
-    collector: Collector
+    collector: Collector | VectorCollector
     history: History
     records: Records
     started: float
@@ -54,8 +55,23 @@ class Run:
 
     @property
     def finished(self) -> bool:
-        """Whether all steps are taken."""
+        """Whether all steps are taken; with several worlds there may be some more."""
         return self.history.step >= self.settings.total_steps
+
+    def reached(self, interval: int) -> bool:
+        """Whether the newest steps, one of every world, have come to a multiple of an interval."""
+        return self.history.step % interval < self.settings.num_envs
+
+    @property
+    def updates_due(self) -> int:
+        """Updates that the newest steps, not yet counted as learned from, call for.
+
+        All together are always the whole part of `update_to_data` times the steps, in exact
+        fractions, so that nothing is lost or gained on the way or in a resumed run.
+        """
+        ratio = Fraction(str(self.settings.update_to_data))
+        before = self.history.learning_steps
+        return math.floor(ratio * (before + self.settings.num_envs)) - math.floor(ratio * before)
 
     def evaluate(self) -> None:
         """Run the deterministic policy for whole episodes."""
@@ -76,7 +92,7 @@ class Run:
             "episode/success_rate": _number(success_rate(history.episodes)),
             "time/steps_per_second": history.steps_per_second,
         }
-        total_cells = num_cells(self.environment)
+        total_cells = num_cells(self.evaluation_environment)
         if total_cells is not None:
             values["episode/coverage"] = _number(history.coverage(total_cells))
         values |= {tag: value.item() for tag, value in metrics.items()}
@@ -112,7 +128,7 @@ class Run:
             "bonus": settings.bonus,
             "prior": settings.prior,
             "total_steps": self.history.step,
-            **self.history.summary(num_cells(self.environment)),
+            **self.history.summary(num_cells(self.evaluation_environment)),
             "peak_memory_megabytes": peak_memory_megabytes(),
             "versions": {
                 name: version(name) for name in ("deep-curiosity", "torch", "gymnasium", "mujoco")
@@ -137,10 +153,11 @@ def open_run(settings: Settings) -> Iterator[Run]:
         settings = continued(settings, read_settings(settings.resume))
     torch.set_num_threads(settings.threads)
     torch.manual_seed(settings.seed)
-    environment = make_environment(settings.env_id, settings.env_kwargs)
     evaluation_environment = make_environment(settings.env_id, settings.env_kwargs)
-    learner = Learner(settings, observation_dim(environment), action_dim(environment))
-    collector = Collector(environment, settings.seed)
+    learner = Learner(
+        settings, observation_dim(evaluation_environment), action_dim(evaluation_environment)
+    )
+    collector = make_collector(settings)
     if resuming:
         history = _restore(settings.out, learner, collector)
         write_json(settings.out / CONFIG, asdict(settings))
@@ -150,7 +167,6 @@ def open_run(settings: Settings) -> Iterator[Run]:
     records = Records(settings.out, start=history.step)
     run = Run(
         settings,
-        environment,
         evaluation_environment,
         learner,
         collector,
@@ -164,8 +180,19 @@ def open_run(settings: Settings) -> Iterator[Run]:
         yield run
     finally:
         records.close()
-        environment.close()
+        collector.environment.close()
         evaluation_environment.close()
+
+
+def make_collector(settings: Settings) -> Collector | VectorCollector:
+    """Collector of a run, with its environment."""
+    task = settings.env_id, settings.env_kwargs
+    if settings.num_envs == 1:
+        return Collector(make_environment(*task), settings.seed)
+    environment = make_vector_environment(
+        *task, num_envs=settings.num_envs, vectorization=settings.vectorization
+    )
+    return VectorCollector(environment, settings.seed)
 
 
 def continued(asked: Settings, own: Settings) -> Settings:
@@ -196,7 +223,7 @@ def peak_memory_megabytes() -> float | None:
     return peak / (2**20 if sys.platform == "darwin" else 2**10)
 
 
-def _restore(folder: Path, learner: Learner, collector: Collector) -> History:
+def _restore(folder: Path, learner: Learner, collector: Collector | VectorCollector) -> History:
     state = load_checkpoint(folder)
     collector.load_state_dict(state["collector"])
     learner.load_state_dict(state["learner"])

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Literal
+from typing import Literal, get_args, get_origin
 
 
 @dataclass(frozen=True)
@@ -15,8 +15,16 @@ class Settings:
     env_kwargs: dict[str, float] = field(default_factory=dict)
     """Keyword arguments of the environment, such as: action_cost 0.1"""
     total_steps: int = 20_000
-    """Environment steps, over all resumed parts together; a resumed run keeps its own number
-    unless another is given."""
+    """Environment steps, over all worlds and resumed parts together; a resumed run keeps its own
+    number unless another is given."""
+    num_envs: int = 1
+    """Worlds that are stepped side by side; all steps and intervals count over all of them, and
+    are rounded up to whole steps of each."""
+    vectorization: Literal["auto", "native", "sync", "async"] = "auto"
+    """How several worlds are stepped: by MuJoCo in one call (our own tasks), in turn, or each in a
+    process of its own; auto is native where it can be, else sync."""
+    update_to_data: float = 1.0
+    """Updates per environment step once learning has begun; 0.25 is one at every fourth step."""
     seed: int = 0
     """Seeds torch, the environments and the replay."""
     out: Path = Path("runs/latest")
@@ -102,6 +110,11 @@ class Settings:
                 raise ValueError(f"`{setting.name}` must be at least 1, got {value}.")
             if setting.type is float and not math.isfinite(value):
                 raise ValueError(f"`{setting.name}` must be finite, got {value}.")
+            if get_origin(setting.type) is Literal and value not in get_args(setting.type):
+                known = get_args(setting.type)
+                raise ValueError(f"`{setting.name}` must be one of {known}, got {value!r}.")
         for name in ("seed", "learning_starts"):
             if getattr(self, name) < 0:
                 raise ValueError(f"`{name}` must not be negative, got {getattr(self, name)}.")
+        if self.update_to_data <= 0:
+            raise ValueError(f"`update_to_data` must be positive, got {self.update_to_data}.")

@@ -6,6 +6,7 @@ Example:
     >>> import gymnasium
     >>> import deep_curiosity_envs
     >>> env = gymnasium.make("deep_curiosity/PendulumSwingup-v0", action_cost=0.1)
+    >>> envs = gymnasium.make_vec("deep_curiosity/PendulumSwingup-v0", num_envs=64)
 """
 
 import gymnasium
@@ -16,6 +17,7 @@ from deep_curiosity_envs.mujoco_task import MujocoTask
 from deep_curiosity_envs.pendulum import PendulumSwingup
 from deep_curiosity_envs.point_maze import PointMaze
 from deep_curiosity_envs.reacher import ReacherSparse
+from deep_curiosity_envs.vector import MujocoVectorEnv
 
 __all__ = [
     "ILLUSTRATION_IDS",
@@ -23,6 +25,7 @@ __all__ = [
     "CartpoleSwingup",
     "CleverRandom",
     "MujocoTask",
+    "MujocoVectorEnv",
     "PendulumSwingup",
     "PointMaze",
     "ReacherSparse",
@@ -43,7 +46,12 @@ def _register(task: type[gymnasium.Env], num_steps: int) -> str:
     task_id = f"deep_curiosity/{task.__name__}-v0"
     if task_id not in gymnasium.registry:
         entry_point = f"{task.__module__}:{task.__name__}"
-        gymnasium.register(task_id, entry_point=entry_point, max_episode_steps=num_steps)
+        gymnasium.register(
+            task_id,
+            entry_point=entry_point,
+            vector_entry_point=f"{entry_point}Vector" if issubclass(task, MujocoTask) else None,
+            max_episode_steps=num_steps,
+        )
     return task_id
 
 

@@ -1,6 +1,7 @@
 """The contract that every MuJoCo task here follows, and the stepping and rendering they share."""
 
 import abc
+import copy
 import math
 from collections.abc import Sequence
 from importlib import resources
@@ -11,7 +12,12 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from deep_curiosity_envs.clock import clock_stopped
+from deep_curiosity_envs.rewards import Hold
+
+Array = NDArray[Any]
 Array32 = NDArray[np.float32]
+Array64 = NDArray[np.float64]
 
 CONTROL_STEP = 0.05  # s; 20 decisions per second are enough for poles of half a metre
 IMAGE_SIZE = (480, 480)  # height and width in pixels; MuJoCo's default buffer is 480 pixels high
@@ -22,8 +28,14 @@ class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
 
     Actions lie in [-1, 1]; what lies outside is clipped. A step pays `get_reward()`, in [0, 1],
     minus `action_cost` times the mean square of the clipped action, so a return is at most the
-    length of the episode. Every `info` holds `is_success`. An episode is a function of the seed
-    given to `reset` and of the actions.
+    length of the episode. An episode is a success once it has paid in full for `hold_time`; every
+    `info` holds `is_success`. An episode is a function of the seed given to `reset` and of the
+    actions.
+
+    What a task sees, pays and tells is a function of `qpos`, `qvel` and `mocap_pos`, and is
+    written for any number of worlds: their axis, where there is one, comes first, so that
+    coordinates are taken from the right, `self.qpos[..., 0]`. Here these are the arrays of the one
+    world in `data`; `over` gives the same task of many.
 
     Args:
         model: The compiled MuJoCo model; every actuator has the control range [-1, 1].
@@ -42,6 +54,7 @@ class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
         "render_fps": round(1 / CONTROL_STEP),
     }
     max_reward_per_step: ClassVar[float] = 1.0
+    hold_time: ClassVar[float] = CONTROL_STEP  # s
 
     def __init__(
         self,
@@ -56,40 +69,75 @@ class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f'`render_mode` must be None or "rgb_array", got {render_mode!r}.')
         self.model, self.data = model, mujoco.MjData(model)
+        self.qpos, self.qvel, self.mocap_pos = self.data.qpos, self.data.qvel, self.data.mocap_pos
         self.action_cost, self.render_mode = action_cost, render_mode
         bound = np.asarray(observation_bound, dtype=np.float32)
         self.observation_space = gymnasium.spaces.Box(-bound, bound, dtype=np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (model.nu,), dtype=np.float32)
+        self.num_physics_steps = count_physics_steps(CONTROL_STEP, model.opt.timestep)
+        self.hold = Hold(round(self.hold_time / CONTROL_STEP))
         self._bound = bound
-        self._num_physics_steps = count_physics_steps(CONTROL_STEP, model.opt.timestep)
         self._renderer: mujoco.Renderer | None = None
 
     @abc.abstractmethod
     def initialize_episode(self) -> None:
-        """Place the bodies for a new episode; random draws come from `self.np_random`."""
+        """Place the bodies of one world; random draws come from `self.np_random`."""
 
     @abc.abstractmethod
-    def get_observation(self) -> Array32:
-        """What the agent sees of the present state."""
+    def get_observation(self) -> Array64:
+        """What the agent sees of the present state, `(*worlds, observation_dim)`."""
 
     @abc.abstractmethod
-    def get_reward(self) -> float:
-        """Reward of the present state in [0, 1], without the action's cost."""
+    def get_reward(self) -> Array64:
+        """Reward of the present state in [0, 1], without the action's cost, `(*worlds,)`."""
 
-    @abc.abstractmethod
-    def is_success(self) -> bool:
-        """Whether the task has been solved in this episode."""
+    def is_success(self) -> Array:
+        """Whether the task has been solved in this episode, `(*worlds,)`."""
+        return self.hold.achieved
 
-    def is_terminated(self) -> bool:
-        """Whether the present state ends the episode; by default none does."""
-        return False
+    def is_terminated(self) -> Array:
+        """Whether the present state ends the episode, `(*worlds,)`; by default none does."""
+        return np.zeros_like(self.hold.achieved)
 
-    def get_info(self) -> dict[str, Any]:
-        """Extra diagnostics of the present state, beside `is_success`."""
+    def get_info(self) -> dict[str, Array]:
+        """Extra diagnostics of the present state, beside `is_success`, each `(*worlds,)`."""
         return {}
 
-    def track_episode(self) -> None:
-        """Remember, once per step, what later states of the episode no longer show."""
+    def observe(self) -> Array32:
+        """The observation, clipped to its space."""
+        observation = self.get_observation().astype(np.float32, order="C")
+        return np.minimum(np.maximum(observation, -self._bound), self._bound)
+
+    def inform(self) -> dict[str, Array]:
+        """All there is to tell of the present state."""
+        return {"is_success": self.is_success(), **self.get_info()}
+
+    def conclude(self, control: Array64) -> tuple[Array32, Array64, Array, dict[str, Array]]:
+        """What a control step has led to, of every world.
+
+        Args:
+            control: The clipped actions, `(*worlds, action_dim)`.
+
+        Returns:
+            Observation, reward, whether the episode has terminated, and info.
+        """
+        reward = self.get_reward()
+        self.hold.update(reward == 1.0)
+        cost = self.action_cost * np.square(control).sum(-1) / control.shape[-1]
+        return self.observe(), reward - cost, self.is_terminated(), self.inform()
+
+    def over(self, qpos: Array64, qvel: Array64, mocap_pos: Array64) -> "MujocoTask":
+        """The same task of many worlds, which are these arrays; it can conclude but not step.
+
+        Args:
+            qpos: `(num_worlds, nq)`.
+            qvel: `(num_worlds, nv)`.
+            mocap_pos: `(num_worlds, nmocap, 3)`.
+        """
+        worlds = copy.copy(self)
+        worlds.qpos, worlds.qvel, worlds.mocap_pos = qpos, qvel, mocap_pos
+        worlds.hold = Hold(self.hold.num_steps, num_worlds=len(qpos))
+        return worlds
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -98,8 +146,9 @@ class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
         super().reset(seed=seed)
         mujoco.mj_resetData(self.model, self.data)
         self.initialize_episode()
+        self.hold.reset()
         mujoco.mj_forward(self.model, self.data)
-        return self._observe(), self._info()
+        return self.observe(), _as_scalars(self.inform())
 
     def step(self, action: Array32) -> tuple[Array32, float, bool, bool, dict[str, Any]]:
         """Hold the action for one control step.
@@ -107,14 +156,12 @@ class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
         Raises:
             ValueError: If the action has another shape than the action space, or is not finite.
         """
-        control = self._check_action(action)
+        control = check_action(action, (self.model.nu,))
         self.data.ctrl[:] = control
-        mujoco.mj_step(self.model, self.data, self._num_physics_steps)
-        mujoco.mj_kinematics(self.model, self.data)  # mj_step leaves positions one step behind
-        self.track_episode()
-        cost = self.action_cost * float(control @ control) / control.size
-        reward = self.get_reward() - cost
-        return self._observe(), reward, self.is_terminated(), False, self._info()
+        with clock_stopped():
+            mujoco.mj_step(self.model, self.data, self.num_physics_steps)
+        observation, reward, terminated, info = self.conclude(control)
+        return observation, float(reward), bool(terminated), False, _as_scalars(info)
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
         """Picture of the present state, height by width by RGB; None without a render mode.
@@ -126,6 +173,7 @@ class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
             return None
         if self._renderer is None:
             self._renderer = make_renderer(self.model)
+        mujoco.mj_kinematics(self.model, self.data)  # mj_step leaves bodies one step behind
         self._renderer.update_scene(self.data, camera="overview")
         return self._renderer.render()
 
@@ -135,20 +183,23 @@ class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
             self._renderer.close()
             self._renderer = None
 
-    def _check_action(self, action: Array32) -> NDArray[np.float64]:
-        control = np.asarray(action, dtype=np.float64)
-        if control.shape != self.action_space.shape:
-            shape = self.action_space.shape
-            raise ValueError(f"`action` must have shape {shape}, got shape {control.shape}.")
-        if not np.isfinite(control).all():
-            raise ValueError(f"`action` must be finite, got {action}.")
-        return np.minimum(np.maximum(control, -1.0), 1.0)
 
-    def _observe(self) -> Array32:
-        return np.minimum(np.maximum(self.get_observation(), -self._bound), self._bound)
+def check_action(action: Array, shape: tuple[int, ...]) -> Array64:
+    """The action clipped to [-1, 1], in the precision of the simulator.
 
-    def _info(self) -> dict[str, Any]:
-        return {"is_success": self.is_success(), **self.get_info()}
+    Raises:
+        ValueError: If it has another shape than `shape`, or is not finite.
+    """
+    control = np.asarray(action, dtype=np.float64)
+    if control.shape != shape:
+        raise ValueError(f"`action` must have shape {shape}, got shape {control.shape}.")
+    if not np.isfinite(control).all():
+        raise ValueError(f"`action` must be finite, got {action}.")
+    return np.minimum(np.maximum(control, -1.0), 1.0)
+
+
+def _as_scalars(info: dict[str, Array]) -> dict[str, Any]:
+    return {name: value.item() for name, value in info.items()}
 
 
 def load_spec(file_name: str) -> mujoco.MjSpec:

@@ -1,18 +1,19 @@
 """A pendulum whose motor is too weak to lift it in one go."""
 
 import math
+from functools import partial
 
 import numpy as np
 
-from deep_curiosity_envs.mujoco_task import CONTROL_STEP, Array32, MujocoTask, load_spec
-from deep_curiosity_envs.rewards import Hold, tolerance
+from deep_curiosity_envs.mujoco_task import Array64, MujocoTask, load_spec
+from deep_curiosity_envs.rewards import tolerance, wrap_angle
+from deep_curiosity_envs.vector import MujocoVectorEnv
 
 UPRIGHT_ANGLE = 0.3  # rad; a tenth of the circle pays
 SLOW_SPEED = 1.0  # rad/s; a free fall through the bottom is nine times as fast
 SPEED_SCALE = 8.0  # rad/s; about the speed at the bottom of a fall from upright
 SPEED_BOUND = 4.0  # in units of SPEED_SCALE; the motor cannot spin the pole faster
 START_NOISE = 0.01  # rad and rad/s; breaks the symmetry between left and right
-HOLD_TIME = 1.0  # s
 
 
 class PendulumSwingup(MujocoTask):
@@ -30,6 +31,8 @@ class PendulumSwingup(MujocoTask):
         render_mode: `"rgb_array"` or None.
     """
 
+    hold_time = 1.0
+
     def __init__(self, action_cost: float = 0.0, render_mode: str | None = None) -> None:
         super().__init__(
             load_spec("pendulum.xml").compile(),
@@ -37,41 +40,33 @@ class PendulumSwingup(MujocoTask):
             action_cost=action_cost,
             render_mode=render_mode,
         )
-        self._hinge = self.data.joint("hinge")
-        self._hold = Hold(round(HOLD_TIME / CONTROL_STEP))
 
     @property
-    def pole_angle(self) -> float:
+    def pole_angle(self) -> Array64:
         """Angle from upright, in [-pi, pi] rad."""
-        return math.remainder(float(self._hinge.qpos[0]), math.tau)
+        return wrap_angle(self.qpos[..., 0])
 
     @property
-    def pole_speed(self) -> float:
+    def pole_speed(self) -> Array64:
         """Angular velocity, in rad/s."""
-        return float(self._hinge.qvel[0])
+        return self.qvel[..., 0]
 
     def initialize_episode(self) -> None:
         """Let the pole hang at rest, but for a little noise."""
         angle_noise, speed_noise = self.np_random.uniform(-START_NOISE, START_NOISE, size=2)
-        self._hinge.qpos[0] = math.pi + angle_noise
-        self._hinge.qvel[0] = speed_noise
-        self._hold.reset()
+        self.qpos[0] = math.pi + angle_noise
+        self.qvel[0] = speed_noise
 
-    def get_observation(self) -> Array32:
+    def get_observation(self) -> Array64:
         """Direction of the pole and its scaled speed."""
         angle, speed = self.pole_angle, self.pole_speed
-        return np.array([math.cos(angle), math.sin(angle), speed / SPEED_SCALE], np.float32)
+        return np.array((np.cos(angle), np.sin(angle), speed / SPEED_SCALE)).T
 
-    def get_reward(self) -> float:
+    def get_reward(self) -> Array64:
         """One while upright and slow, else zero."""
         upright = tolerance(self.pole_angle, bounds=(-UPRIGHT_ANGLE, UPRIGHT_ANGLE))
         slow = tolerance(self.pole_speed, bounds=(-SLOW_SPEED, SLOW_SPEED))
         return upright * slow
 
-    def track_episode(self) -> None:
-        """Count how long the pole has been held."""
-        self._hold.update(self.get_reward() == 1.0)
 
-    def is_success(self) -> bool:
-        """Whether the pole has been held upright and slow for a second in a row."""
-        return self._hold.achieved
+PendulumSwingupVector = partial(MujocoVectorEnv, PendulumSwingup)

@@ -1,13 +1,15 @@
 """A point mass that has to find its way through three corridors to a goal it cannot see."""
 
-import math
 from collections import deque
+from functools import partial
 from typing import Any, ClassVar
 
 import mujoco
 import numpy as np
+from numpy.typing import NDArray
 
-from deep_curiosity_envs.mujoco_task import Array32, MujocoTask, load_spec
+from deep_curiosity_envs.mujoco_task import Array, Array64, MujocoTask, load_spec
+from deep_curiosity_envs.vector import MujocoVectorEnv
 
 # Seen from above: S is the start, G the goal, # a wall.
 MAZE = (
@@ -68,11 +70,19 @@ def cell_centre(cell: Cell) -> tuple[float, float]:
     return x, y
 
 
-def cell_at(x: float, y: float) -> Cell:
-    """Cell that holds a point of the arena, both coordinates in m."""
-    row = math.floor(len(MAZE) / 2 - y / CELL_SIZE)
-    column = math.floor(x / CELL_SIZE + len(MAZE[0]) / 2)
-    return row, column
+def cell_at(x: Array64, y: Array64) -> tuple[Array, Array]:
+    """Rows and columns of the cells that hold points of the arena, coordinates in m."""
+    row = np.floor(len(MAZE) / 2 - y / CELL_SIZE)
+    column = np.floor(x / CELL_SIZE + len(MAZE[0]) / 2)
+    return row.astype(int), column.astype(int)
+
+
+def number_cells() -> NDArray[np.int64]:
+    """Numbers of the cells by row and column, in order of distance from the start; walls -1."""
+    number = np.full((len(MAZE), len(MAZE[0])), -1)
+    for cell, index in reachable_cells(find_cell("S")).items():
+        number[cell] = index
+    return number
 
 
 def maze_model() -> mujoco.MjModel:
@@ -113,8 +123,9 @@ class PointMaze(MujocoTask):
         **MujocoTask.metadata,
         "picture_features": (0, 1),
     }
-    _cell_index: ClassVar[dict[Cell, int]] = reachable_cells(find_cell("S"))
-    num_cells: ClassVar[int] = len(_cell_index)
+    _goal_position: ClassVar[tuple[float, float]] = cell_centre(find_cell("G"))
+    _cell_number: ClassVar[NDArray[np.int64]] = number_cells()
+    num_cells: ClassVar[int] = int(_cell_number.max()) + 1
 
     def __init__(
         self,
@@ -129,53 +140,44 @@ class PointMaze(MujocoTask):
             render_mode=render_mode,
         )
         self.goal_terminates = goal_terminates
-        self._goal_position = cell_centre(find_cell("G"))
-        self._arrived = False
 
     @property
-    def position(self) -> tuple[float, float]:
+    def position(self) -> Array64:
         """Place of the point to the right of and above the middle of the arena, in m."""
-        x, y = self.data.qpos
-        return float(x), float(y)
+        return self.qpos
 
     @property
-    def goal_distance(self) -> float:
+    def goal_distance(self) -> Array64:
         """Distance as the crow flies from the point to the middle of the goal, in m."""
-        return math.dist(self.position, self._goal_position)
+        x, y = self._goal_position
+        return np.hypot(self.position[..., 0] - x, self.position[..., 1] - y)
 
     @property
-    def cell(self) -> int:
+    def cell(self) -> Array:
         """Index of the cell the point is in."""
-        return self._cell_index[cell_at(*self.position)]
+        return self._cell_number[cell_at(self.position[..., 0], self.position[..., 1])]
 
     def initialize_episode(self) -> None:
         """Put the point near the middle of the start cell, at rest."""
         noise = self.np_random.uniform(-START_NOISE, START_NOISE, size=2) * CELL_SIZE
-        self.data.qpos[:] = cell_centre(find_cell("S")) + noise
-        self._arrived = False
+        self.qpos[:] = cell_centre(find_cell("S")) + noise
 
-    def get_observation(self) -> Array32:
+    def get_observation(self) -> Array64:
         """Scaled position and velocity."""
         half_arena = len(MAZE) * CELL_SIZE / 2
-        place, velocity = self.data.qpos / half_arena, self.data.qvel / SPEED_SCALE
-        return np.concatenate((place, velocity), dtype=np.float32)
+        return np.concatenate((self.position / half_arena, self.qvel / SPEED_SCALE), axis=-1)
 
-    def get_reward(self) -> float:
+    def get_reward(self) -> Array64:
         """One in the goal, else zero."""
-        return float(self.goal_distance < GOAL_RADIUS)
+        return np.where(self.goal_distance < GOAL_RADIUS, 1.0, 0.0)
 
-    def track_episode(self) -> None:
-        """Remember that the goal has been reached."""
-        self._arrived = self._arrived or self.goal_distance < GOAL_RADIUS
-
-    def is_success(self) -> bool:
-        """Whether the goal has been reached in this episode."""
-        return self._arrived
-
-    def is_terminated(self) -> bool:
+    def is_terminated(self) -> Array:
         """Whether the goal has been reached and ends the episode."""
-        return self.goal_terminates and self._arrived
+        return self.goal_terminates & self.is_success()
 
-    def get_info(self) -> dict[str, Any]:
+    def get_info(self) -> dict[str, Array]:
         """Index of the cell the point is in."""
         return {"cell": self.cell}
+
+
+PointMazeVector = partial(MujocoVectorEnv, PointMaze)

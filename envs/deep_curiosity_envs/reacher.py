@@ -1,18 +1,18 @@
 """A two-link arm whose fingertip has to find a target that pays only when touched."""
 
 import math
+from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from deep_curiosity_envs.mujoco_task import CONTROL_STEP, Array32, MujocoTask, load_spec
-from deep_curiosity_envs.rewards import Hold, tolerance
+from deep_curiosity_envs.mujoco_task import Array64, MujocoTask, load_spec
+from deep_curiosity_envs.rewards import tolerance
+from deep_curiosity_envs.vector import MujocoVectorEnv
 
 TARGET_RADIUS = 0.05  # m; a twentieth of the arm's length
 TARGET_DISTANCE = (0.3, 0.9)  # m from the shoulder; inside the reach of the folded to straight arm
 SPEED_SCALE = 4.0  # rad/s; what the arm reaches after one to two seconds of full torque
 SPEED_BOUND = 5.0  # in units of SPEED_SCALE
-HOLD_TIME = 0.5  # s
 
 
 class ReacherSparse(MujocoTask):
@@ -30,6 +30,8 @@ class ReacherSparse(MujocoTask):
         render_mode: `"rgb_array"` or None.
     """
 
+    hold_time = 0.5
+
     def __init__(self, action_cost: float = 0.0, render_mode: str | None = None) -> None:
         super().__init__(
             load_spec("reacher.xml").compile(),
@@ -37,42 +39,51 @@ class ReacherSparse(MujocoTask):
             action_cost=action_cost,
             render_mode=render_mode,
         )
-        self._fingertip = self.data.site("fingertip")
-        self._target_position = self.data.mocap_pos[0, :2]
-        self._hold = Hold(round(HOLD_TIME / CONTROL_STEP))
+        self._upper_arm_length = self.model.body("forearm").pos[0]
+        self._forearm_length = self.model.site("fingertip").pos[0]
 
     @property
-    def fingertip_to_target(self) -> NDArray[np.float64]:
+    def target_position(self) -> Array64:
+        """Place of the target in the plane, seen from the shoulder, in m."""
+        return self.mocap_pos[..., 0, :2]
+
+    @property
+    def fingertip_position(self) -> Array64:
+        """Place of the fingertip in the plane, seen from the shoulder, in m."""
+        upper_arm = self.qpos[..., 0]
+        forearm = upper_arm + self.qpos[..., 1]
+        x = self._upper_arm_length * np.cos(upper_arm) + self._forearm_length * np.cos(forearm)
+        y = self._upper_arm_length * np.sin(upper_arm) + self._forearm_length * np.sin(forearm)
+        return np.array((x, y)).T
+
+    @property
+    def fingertip_to_target(self) -> Array64:
         """Vector in the plane from the fingertip to the middle of the target, in m."""
-        return self._target_position - self._fingertip.xpos[:2]
+        return self.target_position - self.fingertip_position
 
     def initialize_episode(self) -> None:
         """Draw the pose of the arm and the place of the target."""
-        self.data.qpos[:] = self.np_random.uniform(-math.pi, math.pi, size=2)
+        self.qpos[:] = self.np_random.uniform(-math.pi, math.pi, size=2)
         direction = self.np_random.uniform(-math.pi, math.pi)
         distance = self.np_random.uniform(*TARGET_DISTANCE)
-        self._target_position[:] = distance * np.array([math.cos(direction), math.sin(direction)])
-        self._hold.reset()
+        self.target_position[:] = distance * np.array([math.cos(direction), math.sin(direction)])
 
-    def get_observation(self) -> Array32:
+    def get_observation(self) -> Array64:
         """Pose and scaled speed of the arm, target, and what is missing to it."""
         features = (
-            np.cos(self.data.qpos),
-            np.sin(self.data.qpos),
-            self.data.qvel / SPEED_SCALE,
-            self._target_position,
+            np.cos(self.qpos),
+            np.sin(self.qpos),
+            self.qvel / SPEED_SCALE,
+            self.target_position,
             self.fingertip_to_target,
         )
-        return np.concatenate(features, dtype=np.float32)
+        return np.concatenate(features, axis=-1)
 
-    def get_reward(self) -> float:
+    def get_reward(self) -> Array64:
         """One while the fingertip is in the target, else zero."""
-        return tolerance(math.hypot(*self.fingertip_to_target), bounds=(0.0, TARGET_RADIUS))
+        error = self.fingertip_to_target
+        distance = np.hypot(error[..., 0], error[..., 1])
+        return tolerance(distance, bounds=(0.0, TARGET_RADIUS))
 
-    def track_episode(self) -> None:
-        """Count how long the fingertip has stayed in the target."""
-        self._hold.update(self.get_reward() == 1.0)
 
-    def is_success(self) -> bool:
-        """Whether the fingertip has stayed in the target for half a second."""
-        return self._hold.achieved
+ReacherSparseVector = partial(MujocoVectorEnv, ReacherSparse)

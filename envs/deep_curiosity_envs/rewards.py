@@ -2,13 +2,23 @@
 
 import math
 
+import numpy as np
+from numpy.typing import NDArray
+
+Array64 = NDArray[np.float64]
+
+
+def wrap_angle(angle: Array64) -> Array64:
+    """The same angle in [-pi, pi], in rad."""
+    return angle - math.tau * np.rint(angle / math.tau)
+
 
 def tolerance(
-    value: float,
+    value: Array64,
     bounds: tuple[float, float],
     margin: float = 0.0,
     value_at_margin: float = 0.1,
-) -> float:
+) -> Array64:
     r"""Degree in [0, 1] to which a value lies within its bounds.
 
     With :math:`d` the distance to the nearest bound, the degree is one inside and outside
@@ -18,7 +28,7 @@ def tolerance(
     so it falls like a Gaussian. A margin of zero makes the edge sharp.
 
     Args:
-        value: The measured quantity.
+        value: The measured quantity, of any shape.
         bounds: Lowest and highest value that earn the full degree, both included.
         margin: Distance from the bounds, in units of the value, where `value_at_margin` is left.
         value_at_margin: Degree at one margin from the bounds.
@@ -28,14 +38,14 @@ def tolerance(
             `value_at_margin` does not lie strictly between zero and one.
 
     Example:
-        >>> tolerance(1.5, bounds=(-1.0, 1.0), margin=0.5)
-        0.1
+        >>> tolerance(np.array([0.0, 1.5]), bounds=(-1.0, 1.0), margin=0.5)
+        array([1. , 0.1])
     """
     _check_tolerance(bounds, margin, value_at_margin)
-    distance = max(bounds[0] - value, value - bounds[1], 0.0)
     if margin == 0.0:
-        return float(distance == 0.0)
-    return float(value_at_margin ** ((distance / margin) ** 2))
+        return np.where((bounds[0] <= value) & (value <= bounds[1]), 1.0, 0.0)
+    distance = np.maximum(np.maximum(bounds[0] - value, value - bounds[1]), 0.0)
+    return value_at_margin ** np.square(distance / margin)
 
 
 def _check_tolerance(bounds: tuple[float, float], margin: float, value_at_margin: float) -> None:
@@ -52,20 +62,24 @@ class Hold:
 
     Args:
         num_steps: Steps in a row that the condition has to last.
+        num_worlds: How many conditions are followed side by side; None for a single one, whose
+            arrays have no axis.
     """
 
-    def __init__(self, num_steps: int) -> None:
+    def __init__(self, num_steps: int, num_worlds: int | None = None) -> None:
         if num_steps < 1:
             raise ValueError(f"`num_steps` must be at least 1, got {num_steps}.")
+        shape = () if num_worlds is None else (num_worlds,)
         self.num_steps = num_steps
-        self.reset()
+        self.achieved = np.zeros(shape, dtype=bool)
+        self._streak = np.zeros(shape, dtype=int)
 
-    def reset(self) -> None:
-        """Forget everything, as at the start of an episode."""
-        self._streak = 0
-        self.achieved = False
+    def reset(self, mask: NDArray[np.bool_] | bool = True) -> None:
+        """Forget everything, as at the start of an episode, in all worlds or where the mask is."""
+        self._streak = self._streak * np.logical_not(mask)
+        self.achieved = self.achieved & np.logical_not(mask)
 
-    def update(self, condition: bool) -> None:
-        """Count one more step, or start again from zero when the condition fails."""
-        self._streak = self._streak + 1 if condition else 0
-        self.achieved = self.achieved or self._streak >= self.num_steps
+    def update(self, condition: NDArray[np.bool_]) -> None:
+        """Count one more step, or start again from zero where the condition fails."""
+        self._streak = (self._streak + 1) * condition
+        self.achieved = self.achieved | (self._streak >= self.num_steps)

@@ -1,8 +1,9 @@
 import math
 
+import numpy as np
 import pytest
 
-from deep_curiosity_envs.rewards import Hold, tolerance
+from deep_curiosity_envs.rewards import Hold, tolerance, wrap_angle
 
 
 @pytest.mark.parametrize(("value", "expected"), [(-1.1, 0), (-1, 1), (0, 1), (1, 1), (1.1, 0)])
@@ -36,6 +37,18 @@ def test_tolerance_rejects_what_has_no_meaning(kwargs, name):
         tolerance(0.0, **kwargs)
 
 
+def test_tolerance_takes_every_shape():
+    value = np.array([[-2.0, 0.0], [0.5, 3.0]])
+    assert tolerance(value, bounds=(-1.0, 1.0)).tolist() == [[0, 1], [1, 0]]
+    assert tolerance(value, bounds=(-1.0, 1.0), margin=1.0)[0] == pytest.approx([0.1, 1.0])
+
+
+def test_wrapped_angles_are_remainders_of_the_circle():
+    angle = np.linspace(-20.0, 20.0, 81)
+    expected = [math.remainder(value, math.tau) for value in angle]
+    assert wrap_angle(angle) == pytest.approx(expected, abs=1e-14)
+
+
 def test_hold_needs_the_steps_in_a_row():
     hold = Hold(3)
     for condition in (True, True, False, True, True):
@@ -52,6 +65,16 @@ def test_hold_stays_achieved_until_reset():
     assert hold.achieved
     hold.reset()
     assert not hold.achieved
+
+
+def test_hold_follows_worlds_side_by_side():
+    hold = Hold(2, num_worlds=3)
+    for condition in ([True, True, False], [True, False, False], [False, False, True]):
+        hold.update(np.array(condition))
+    assert hold.achieved.tolist() == [True, False, False]
+    hold.reset(np.array([True, True, False]))
+    hold.update(np.array([True, True, True]))
+    assert hold.achieved.tolist() == [False, False, True]
 
 
 def test_hold_rejects_zero_steps():

@@ -1,15 +1,21 @@
+import os
+import signal
+
 import gymnasium
 import numpy as np
 import pytest
 from gymnasium import spaces
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 
 import deep_curiosity_envs
 from deep_curiosity.training.environments import (
     check_spaces,
     make_environment,
+    make_vector_environment,
     num_cells,
     picture_features,
 )
+from deep_curiosity_envs import MujocoVectorEnv
 
 VECTOR = spaces.Box(-1.0, 1.0, (3,))
 
@@ -82,6 +88,53 @@ def test_an_unknown_id_is_answered_with_the_nearest_and_our_own():
 def test_unknown_arguments_of_an_environment_are_named():
     with pytest.raises(ValueError, match=r"`env_kwargs` must be arguments of .*'wind'"):
         make_environment("PointMaze", {"wind": 1.0})
+
+
+@pytest.mark.parametrize(
+    ("env_id", "vectorization", "kind"),
+    [
+        ("PointMaze", "auto", MujocoVectorEnv),
+        ("PointMaze", "native", MujocoVectorEnv),
+        ("PointMaze", "sync", SyncVectorEnv),
+        ("MountainCarContinuous-v0", "auto", SyncVectorEnv),
+        ("MountainCarContinuous-v0", "async", AsyncVectorEnv),
+    ],
+)
+def test_worlds_are_made_in_the_way_that_is_asked_for(env_id, vectorization, kind):
+    worlds = make_vector_environment(env_id, num_envs=2, vectorization=vectorization)
+    one = make_environment(env_id)
+    assert type(worlds) is kind
+    assert worlds.metadata["autoreset_mode"] is AutoresetMode.DISABLED
+    assert worlds.single_observation_space == one.observation_space
+    assert worlds.single_action_space == one.action_space
+    observation, _ = worlds.reset(seed=3)
+    assert np.array_equal(observation[0], one.reset(seed=3)[0])
+    infos = worlds.step(np.full((2, *one.action_space.shape), 0.5, np.float32))[4]
+    assert infos["is_success"].tolist() == [False, False]
+    worlds.close()
+
+
+def test_ctrl_c_is_left_to_the_process_that_steps():
+    handler = signal.getsignal(signal.SIGINT)
+    worlds = make_vector_environment("PendulumSwingup", num_envs=2, vectorization="async")
+    assert signal.getsignal(signal.SIGINT) is handler
+    worlds.reset(seed=0)
+    for process in worlds.processes:
+        os.kill(process.pid, signal.SIGINT)
+    for _ in range(3):
+        worlds.step(np.zeros((2, 1), np.float32))
+    worlds.close()
+
+
+def test_arguments_reach_every_world():
+    worlds = make_vector_environment("PendulumSwingup", {"action_cost": 0.5}, num_envs=2)
+    worlds.reset(seed=0)
+    assert worlds.step(np.ones((2, 1)))[1].tolist() == [-0.5, -0.5]
+
+
+def test_a_native_environment_is_only_for_our_own_tasks():
+    with pytest.raises(ValueError, match=r"`vectorization` must be .* for MountainCar.*'native'"):
+        make_vector_environment("MountainCarContinuous-v0", num_envs=2, vectorization="native")
 
 
 def test_nothing_is_registered_twice():

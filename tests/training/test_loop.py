@@ -82,6 +82,105 @@ def test_a_resumed_run_equals_an_uninterrupted_one_bit_for_bit(tiny, tmp_path, b
     assert rows(whole.out)[-1] == rows(halves.out)[-1] != rows(whole.out)[-2]
 
 
+@pytest.mark.parametrize("vectorization", ["native", "sync"])
+def test_a_resumed_run_of_several_worlds_equals_an_uninterrupted_one(
+    tiny, tmp_path, vectorization
+):
+    reacher = replace(tiny, env_id="ReacherSparse", vectorization=vectorization, num_envs=3)
+    several = replace(reacher, update_to_data=0.2, evaluation_interval=500)
+    whole = replace(several, total_steps=330, out=tmp_path / "whole")
+    halves = replace(several, total_steps=321, out=tmp_path / "halves")
+    train(whole, show_progress=False)
+    train(halves, show_progress=False)
+    train(replace(whole, resume=halves.out), show_progress=False)
+    for part in ("learner", "collector"):
+        assert_same_state(load_checkpoint(whole.out)[part], load_checkpoint(halves.out)[part])
+    assert rows(whole.out)[-1] == rows(halves.out)[-1] != rows(whole.out)[-2]
+
+
+@pytest.mark.parametrize("vectorization", ["native", "sync", "async"])
+def test_replay_holds_whole_episodes_of_every_world(tiny, vectorization):
+    several = replace(
+        tiny,
+        env_id="ReacherSparse",
+        env_kwargs={},
+        num_envs=4,
+        vectorization=vectorization,
+        total_steps=420,
+        learning_starts=410,
+    )
+    assert train(several, show_progress=False)["total_steps"] == 420
+    state = load_checkpoint(several.out)["learner"]["replay"]["rows"].reshape(105, 4, -1)
+    observation, next_observation = state[..., :10], state[..., 13:23]
+    terminated, truncated = state[..., -2], state[..., -1]
+    assert not terminated.any()
+    assert truncated.nonzero().tolist() == [[99, world] for world in range(4)]
+    follows = (observation[1:] == next_observation[:-1]).all(-1)
+    assert torch.equal(~follows, truncated[:-1].bool())
+    target = slice(6, 8)  # drawn anew in each episode
+    assert torch.equal(
+        next_observation[:100, :, target], observation[:1, :, target].expand(100, 4, 2)
+    )
+    assert (observation[100, :, target] != observation[99, :, target]).all()
+
+
+def counted_updates(settings, monkeypatch):
+    """Environment steps that were in replay at each update of a run."""
+    steps, update = [], Learner.update
+
+    def counting(self):
+        steps.append(len(self.replay))
+        return update(self)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Learner, "update", counting)
+        train(settings, show_progress=False)
+    return steps
+
+
+@pytest.mark.parametrize(
+    ("num_envs", "update_to_data", "expected"),
+    [
+        (1, 1.0, list(range(21, 31))),
+        (1, 0.3, [24, 27, 30]),
+        (1, 2.0, [step for step in range(21, 31) for _ in range(2)]),
+        (4, 1.0, [24] * 4 + [28] * 4 + [32] * 4),
+        (4, 0.25, [24, 28, 32]),
+        (4, 0.4, [24, 28, 28, 32]),
+    ],
+)
+def test_updates_keep_the_ratio_to_environment_steps(
+    tiny, monkeypatch, num_envs, update_to_data, expected
+):
+    settings = replace(tiny, num_envs=num_envs, update_to_data=update_to_data, total_steps=30)
+    assert counted_updates(settings, monkeypatch) == expected
+
+
+def test_the_ratio_does_not_drift_over_resumed_parts(tiny, monkeypatch):
+    part = replace(tiny, update_to_data=0.29, learning_starts=0, evaluation_interval=1000)
+    steps = counted_updates(replace(part, total_steps=33), monkeypatch)
+    for total_steps in (58, 77, 100):
+        resumed = replace(part, resume=tiny.out, total_steps=total_steps)
+        steps += counted_updates(resumed, monkeypatch)
+    assert len(steps) == 29
+    assert all(29 * step >= 100 * due > 29 * (step - 1) for due, step in enumerate(steps, 1))
+
+
+def test_intervals_count_the_steps_of_all_worlds(tiny):
+    summary = train(replace(tiny, num_envs=8, update_to_data=0.1), show_progress=False)
+    assert summary["total_steps"] == 64  # the first multiple of 8 that is not below 60
+    assert [int(row["step"]) for row in rows(tiny.out)] == [40, 64]
+    assert [row["eval/return"] != "nan" for row in rows(tiny.out)] == [True, True]
+
+
+def test_coverage_is_that_of_all_worlds(tiny):
+    maze = replace(tiny, env_id="PointMaze", num_envs=16, total_steps=960, learning_starts=950)
+    train(replace(maze, evaluation_interval=1000), show_progress=False)
+    cells = load_checkpoint(maze.out)["history"]["cells"]
+    assert len(cells) > 3
+    assert max(cells.values()) > 16
+
+
 def test_another_seed_gives_another_run(tiny, tmp_path):
     train(tiny, show_progress=False)
     train(replace(tiny, seed=1, out=tmp_path / "other"), show_progress=False)
@@ -242,6 +341,14 @@ def test_a_curiosity_that_does_not_yield_learns_otherwise(tiny, tmp_path):
     ("change", "message"),
     [
         ({"total_steps": 0}, "`total_steps` must be at least 1, got 0"),
+        ({"num_envs": 0}, "`num_envs` must be at least 1, got 0"),
+        ({"update_to_data": 0.0}, "`update_to_data` must be positive, got 0.0"),
+        ({"update_to_data": float("inf")}, "`update_to_data` must be finite, got inf"),
+        (
+            {"env_id": "Pendulum-v1", "env_kwargs": {}, "num_envs": 2, "vectorization": "native"},
+            "`vectorization` must be 'auto', 'sync' or 'async' for Pendulum-v1, got 'native'",
+        ),
+        ({"num_envs": 2, "env_kwargs": {"wind": 1.0}}, "`env_kwargs` must be arguments of .*wind"),
         ({"seed": -1}, "`seed` must not be negative, got -1"),
         ({"hunger": float("nan")}, "`hunger` must be finite, got nan"),
         ({"members": 1}, "`members` must be at least 2"),
@@ -257,6 +364,12 @@ def test_a_bad_setting_is_named_before_a_folder_is_made(tiny, change, message):
     with pytest.raises(ValueError, match=message):
         train(replace(tiny, **change), show_progress=False)
     assert not tiny.out.exists()
+
+
+def test_a_word_that_is_no_choice_is_named_with_the_choices(tiny):
+    object.__setattr__(tiny, "vectorization", "threads")  # as without the type checks of the tests
+    with pytest.raises(ValueError, match=r"`vectorization` must be one of .*sync.*got 'threads'"):
+        tiny.__post_init__()
 
 
 def test_the_progress_bar_tells_return_nats_and_speed(tiny, capsys):

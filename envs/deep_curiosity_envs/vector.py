@@ -1,0 +1,178 @@
+"""Many worlds of one task, stepped by MuJoCo in a single call."""
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import mujoco
+import numpy as np
+from gymnasium.vector import AutoresetMode, VectorEnv
+from gymnasium.vector.utils import batch_space
+from mujoco.rollout import Rollout
+
+from deep_curiosity_envs.clock import clock_stopped
+from deep_curiosity_envs.mujoco_task import Array, Array32, Array64, MujocoTask, check_action
+
+STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS  # what `mujoco.rollout` takes and gives back
+CONTROL = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_MOCAP_POS
+
+
+class MujocoVectorEnv(VectorEnv[Array32, Array32, Array]):
+    """Worlds of one task side by side, each the same as the task alone.
+
+    World `i` of `reset(seed=s)` lives through the episodes of the single environment after
+    `reset(seed=s + i)`, as in Gymnasium's `SyncVectorEnv`. Observations, rewards, ends and infos
+    are those of the single environment from the same state and actions; but as every control step
+    begins without the forces that held the last one, a body that touches another, or the end of
+    its joint, agrees to about 1e-6.
+
+    An episode that ends is followed by the next in the same step, its last observation and info
+    in `infos["final_obs"]` and `infos["final_info"]`; or, with autoreset disabled, when it is
+    asked for by `reset(options={"reset_mask": mask})`.
+
+    Args:
+        task: Class of the task, or another callable that makes one.
+        num_envs: Number of worlds.
+        max_episode_steps: Control steps after which an episode is truncated; None for never.
+        autoreset_mode: Same-step or disabled.
+        **env_kwargs: Arguments of the task.
+
+    Raises:
+        ValueError: If there is no world, the length is not positive or the mode another one.
+    """
+
+    def __init__(
+        self,
+        task: Callable[..., MujocoTask],
+        num_envs: int,
+        *,
+        max_episode_steps: int | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
+        **env_kwargs: Any,
+    ) -> None:
+        if num_envs < 1:
+            raise ValueError(f"`num_envs` must be at least 1, got {num_envs}.")
+        if max_episode_steps is not None and max_episode_steps < 1:
+            raise ValueError(f"`max_episode_steps` must be at least 1, got {max_episode_steps}.")
+        self._autoreset_mode = AutoresetMode(autoreset_mode)
+        if self._autoreset_mode is AutoresetMode.NEXT_STEP:
+            raise ValueError(
+                f"`autoreset_mode` must be same-step or disabled, got {autoreset_mode}."
+            )
+        self._task = task(**env_kwargs)
+        self.num_envs = num_envs
+        self.metadata = {**self._task.metadata, "autoreset_mode": self._autoreset_mode}
+        self.single_observation_space = self._task.observation_space
+        self.single_action_space = self._task.action_space
+        self.observation_space = batch_space(self.single_observation_space, num_envs)
+        self.action_space = batch_space(self.single_action_space, num_envs)
+        self._max_episode_steps = np.inf if max_episode_steps is None else max_episode_steps
+        self._generators = [np.random.default_rng() for _ in range(num_envs)]
+        self._everywhere = np.ones(num_envs, dtype=bool)
+        self._elapsed = np.zeros(num_envs, dtype=int)
+        self._rollout = Rollout(nthread=0)
+        self._allocate()
+
+    def _allocate(self) -> None:
+        """Lay out the arrays that MuJoCo reads and writes, and the worlds as views of them."""
+        model, num_steps = self._task.model, self._task.num_physics_steps
+        state_dim = mujoco.mj_stateSize(model, STATE)
+        control_dim = mujoco.mj_stateSize(model, CONTROL)
+        self._models = [model] * self.num_envs
+        self._state = np.zeros((self.num_envs, state_dim))  # time, qpos, qvel
+        self._states = np.zeros((self.num_envs, num_steps, state_dim))
+        self._control = np.zeros((self.num_envs, num_steps, control_dim))  # ctrl, mocap_pos
+        self._worlds = self._task.over(
+            self._state[:, 1 : 1 + model.nq],
+            self._state[:, 1 + model.nq : 1 + model.nq + model.nv],
+            self._control[:, 0, model.nu :].reshape(self.num_envs, model.nmocap, 3),
+        )
+
+    def reset(
+        self,
+        *,
+        seed: int | Sequence[int | None] | None = None,
+        options: dict[str, Any] | None = None,
+    ) -> tuple[Array32, dict[str, Any]]:
+        """Start an episode in every world, or in those of `options["reset_mask"]`.
+
+        Raises:
+            ValueError: If the number of seeds or the shape of the mask is not that of the worlds.
+        """
+        mask = np.asarray((options or {}).get("reset_mask", self._everywhere))
+        if mask.shape != (self.num_envs,) or mask.dtype != bool:
+            raise ValueError(
+                f"`reset_mask` must hold {self.num_envs} booleans, got {mask.dtype} {mask.shape}."
+            )
+        if seed is None or isinstance(seed, int):
+            seed = [None if seed is None else seed + world for world in range(self.num_envs)]
+        if len(seed) != self.num_envs:
+            raise ValueError(f"`seed` must have {self.num_envs} entries, got {len(seed)}.")
+        for world in np.flatnonzero(mask).tolist():
+            self._begin_episode(world, seed[world])
+        self._worlds.hold.reset(mask)
+        self._elapsed[mask] = 0
+        return self._worlds.observe(), _masked(self._worlds.inform(), mask)
+
+    def step(self, actions: Array32) -> tuple[Array32, Array64, Array, Array, dict[str, Any]]:
+        """Hold the actions for one control step.
+
+        Raises:
+            ValueError: If the actions have another shape than the space, or are not finite.
+        """
+        control = check_action(actions, (self.num_envs, self._task.model.nu))
+        self._simulate(control)
+        self._elapsed += 1
+        observation, reward, terminated, info = self._worlds.conclude(control)
+        truncated = self._elapsed >= self._max_episode_steps
+        infos = _masked(info, self._everywhere)
+        done = terminated | truncated
+        if done.any() and self._autoreset_mode is AutoresetMode.SAME_STEP:
+            final = _final(observation, info, done)
+            observation, _ = self.reset(options={"reset_mask": done})
+            infos = _masked(self._worlds.inform(), self._everywhere) | final
+        return observation, reward, terminated, truncated, infos
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """Free MuJoCo's side."""
+        self._rollout.close()
+        self._task.close()
+
+    def _simulate(self, control: Array64) -> None:
+        self._control[:, :, : control.shape[1]] = control[:, None]
+        with clock_stopped():
+            self._rollout.rollout(
+                self._models,
+                [self._task.data],
+                self._state,
+                self._control,
+                control_spec=CONTROL,
+                skip_checks=True,
+                nstep=self._task.num_physics_steps,
+                state=self._states,
+            )
+        self._state[:] = self._states[:, -1]
+
+    def _begin_episode(self, world: int, seed: int | None) -> None:
+        """Reset the single task with the world's own random stream, and take its state over."""
+        task = self._task
+        task.np_random = self._generators[world]
+        task.reset(seed=seed)
+        self._generators[world] = task.np_random
+        mujoco.mj_getState(task.model, task.data, self._state[world], STATE)
+        self._control[world, :, task.model.nu :] = task.mocap_pos.ravel()
+
+
+def _masked(info: dict[str, Array], mask: Array) -> dict[str, Array]:
+    """Infos as Gymnasium batches them: zero outside the mask, which stands beside every entry."""
+    return {name: value * mask for name, value in info.items()} | {
+        f"_{name}": mask.copy() for name in info
+    }
+
+
+def _final(observation: Array32, info: dict[str, Array], done: Array) -> dict[str, Any]:
+    """How the episodes that are done have ended."""
+    final_obs = np.full(len(done), None, dtype=object)
+    for world in np.flatnonzero(done):
+        final_obs[world] = observation[world]
+    final = {"final_obs": final_obs, "final_info": _masked(info, done)}
+    return final | {f"_{name}": done.copy() for name in final}
