@@ -1,4 +1,4 @@
-"""Compiling an update as one graph: losses, their gradients and the optimisers' steps."""
+"""Compiling an update into one graph: losses, their gradients and the optimisers' steps."""
 
 from collections.abc import Callable
 from functools import wraps
@@ -8,30 +8,59 @@ import torch
 
 Inputs = ParamSpec("Inputs")
 Output = TypeVar("Output")
+WARM_UP = 3  # calls in which the graph is traced and settles
 
 
-def compiled(function: Callable[Inputs, Output]) -> Callable[Inputs, Output]:
+def compiled(
+    function: Callable[Inputs, Output], *, fall_back: bool = False
+) -> Callable[Inputs, Output]:
     """Compile a function that takes gradients and steps optimisers inside.
 
-    Random numbers are drawn as in eager mode, so that a seed means the same in both.
+    Random numbers are drawn as in eager mode, so that a seed means the same in both. After the
+    first calls nothing is checked any more: shapes, kinds and attributes must stay as they were.
 
     Args:
         function: Free of Python that looks at values of tensors.
+        fall_back: Run the function as it is where it cannot be compiled; otherwise torch's error
+            is raised.
     """
+    graph = torch.compile(function, fullgraph=True, dynamic=False, options=_options())
+    calls, failed = 0, False
+
+    @wraps(function)
+    def run(*args: Inputs.args, **kwargs: Inputs.kwargs) -> Output:
+        nonlocal calls, failed
+        calls += 1
+        if failed:
+            return function(*args, **kwargs)
+        if calls > WARM_UP:
+            with torch.compiler.set_stance("default", skip_guard_eval_unsafe=True):
+                return graph(*args, **kwargs)
+        try:
+            return _traced(graph, *args, **kwargs)
+        except Exception as error:
+            if not fall_back:
+                raise
+            failed = True
+            name = getattr(function, "__name__", "function")
+            print(f"{name} runs uncompiled: {type(error).__name__}")
+            return function(*args, **kwargs)
+
+    return run
+
+
+def _traced(
+    graph: Callable[Inputs, Output], *args: Inputs.args, **kwargs: Inputs.kwargs
+) -> Output:
+    """Call with gradients allowed inside the graph, an option that torch keeps off by default."""
+    from torch._dynamo import config  # loaded on request: it takes seconds
+
+    with config.patch(trace_autograd_ops=True):
+        return graph(*args, **kwargs)
+
+
+def _options() -> dict[str, Any]:
     options: dict[str, Any] = {"fallback_random": True}
     if torch.cuda.is_available():
         options["triton.cudagraphs"] = True
-    graph = torch.compile(function, fullgraph=True, dynamic=False, options=options)
-    from torch._dynamo import config
-
-    calls = [0]
-    @wraps(function)
-    def run(*args: Inputs.args, **kwargs: Inputs.kwargs) -> Output:
-        calls[0] += 1
-        if calls[0] > 3:
-            with torch.compiler.set_stance("default", skip_guard_eval_unsafe=True):
-                return graph(*args, **kwargs)
-        with config.patch(trace_autograd_ops=True):
-            return graph(*args, **kwargs)
-
-    return run
+    return options

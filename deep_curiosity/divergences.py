@@ -52,6 +52,8 @@ def kl_to_mixture_upper(
     component_loc: Float[Tensor, "components dim"],
     component_log_var: Float[Tensor, "components dim"],
     component_log_weight: Float[Tensor, " components"] | None = None,
+    *,
+    product_dtype: torch.dtype = torch.float64,
 ) -> Float[Tensor, "*batch"]:
     r"""Upper bound of the divergence from a Gaussian `f` to a mixture, by Jensen, in nats.
 
@@ -63,12 +65,18 @@ def kl_to_mixture_upper(
         component_loc: Means of the mixture's components.
         component_log_var: Log variances of the mixture's components.
         component_log_weight: Log weights, normalised; equal when `None`.
+        product_dtype: Of the matrix product, see `expected_log_density`.
 
     Returns:
         The bound for each Gaussian, differentiable in every argument.
     """
     log_density = expected_log_density(
-        loc, log_var, component_loc, component_log_var, component_log_weight
+        loc,
+        log_var,
+        component_loc,
+        component_log_var,
+        component_log_weight,
+        product_dtype=product_dtype,
     )
     return -gaussian_entropy(log_var) - torch.logsumexp(log_density, dim=-1)
 
@@ -166,11 +174,21 @@ def expected_log_density(
     component_loc: Float[Tensor, "components dim"],
     component_log_var: Float[Tensor, "components dim"],
     component_log_weight: Float[Tensor, " components"] | None = None,
+    *,
+    product_dtype: torch.dtype = torch.float64,
 ) -> Float[Tensor, "*batch components"]:
     """Expected log density `E_f[log w_j m_j]` of each Gaussian under each component, in nats.
 
-    It is linear in the first two moments of the Gaussian: one matrix product for all pairs.
+    It is linear in the first two moments of the Gaussian: one matrix product for all pairs. The
+    product is taken in float64 unless told otherwise, because sharp components leave small
+    differences of large squares; in float32 it is off by some 1e-3 nats at 17 dimensions where
+    components have a standard deviation of 0.05, and by less where they are wider.
     """
+    dtype = loc.dtype
+    product_dtype = torch.promote_types(product_dtype, dtype)
+    loc, log_var, component_loc, component_log_var = (
+        part.to(product_dtype) for part in (loc, log_var, component_loc, component_log_var)
+    )
     precision = torch.exp(-component_log_var)
     weighted_loc = component_loc * precision
     moments = torch.cat([log_var.exp() + loc.square(), loc], dim=-1)
@@ -178,7 +196,7 @@ def expected_log_density(
     offset = -0.5 * (component_log_var + component_loc * weighted_loc + LOG_TWO_PI).sum(-1)
     offset = offset + _log_weight(component_loc, component_log_weight)
     product = torch.addmm(offset, moments.reshape(-1, moments.shape[-1]), slopes.mT)
-    return product.reshape(*moments.shape[:-1], -1)
+    return product.to(dtype).reshape(*moments.shape[:-1], -1)
 
 
 def _pairwise_information(

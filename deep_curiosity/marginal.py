@@ -13,6 +13,7 @@ from deep_curiosity.divergences import (
     kl_to_mixture_upper,
     mixture_log_density,
 )
+from deep_curiosity.precision import matmul_is_float32
 
 LOG_BANDWIDTH_RANGE = (math.log(1e-3), math.log(10.0))  # searched for a target perplexity
 BISECTIONS = 20  # halvings of that range: to a factor of 1.00001
@@ -102,8 +103,20 @@ class NextStateMarginal(nn.Module):
     def kl_upper(
         self, loc: Float[Tensor, "*batch dim"], log_var: Float[Tensor, "*batch dim"]
     ) -> Float[Tensor, "*batch"]:
-        """Upper bound of `KL(prediction || marginal)`, equation (18), in nats."""
-        return kl_to_mixture_upper(loc, log_var, self.loc, self.component_log_var, self.log_weight)
+        """Upper bound of `KL(prediction || marginal)`, equation (18), in nats.
+
+        Every component is widened by the bandwidth, so a float32 product is exact enough, where it
+        is float32 indeed.
+        """
+        exact = matmul_is_float32(loc.device.type)
+        return kl_to_mixture_upper(
+            loc,
+            log_var,
+            self.loc,
+            self.component_log_var,
+            self.log_weight,
+            product_dtype=torch.float32 if exact else torch.float64,
+        )
 
     def kl_lower(
         self, loc: Float[Tensor, "*batch dim"], log_var: Float[Tensor, "*batch dim"]

@@ -46,7 +46,7 @@ CURIOUS = Settings(
     log_interval=1_000,
 )
 CLEVER = replace(CURIOUS, env_id="CleverRandom", curiosity_discount=0.0)
-SPLIT = replace(CLEVER, temperature=0.06, replay_capacity=20_000)  # entropy alone decides a tie
+SPLIT = replace(CLEVER, replay_capacity=20_000, learning_rate=3e-3, total_steps=10_000)
 RELIABLE = replace(CURIOUS, env_id="ReliableUnreliable", prior="learned")
 QUESTIONS = {
     "clever random, uniform prior": SPLIT,

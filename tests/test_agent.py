@@ -268,7 +268,9 @@ def test_a_large_bonus_on_one_action_moves_the_policy_toward_it(curiosity_discou
 def test_without_curiosity_critic_the_gradient_of_the_bonus_reaches_the_actor_at_once():
     agent, batch = small_agent(curiosity_discount=0.0), random_transition()
     still, pushed = (updated(agent, batch, PushingBonus(slope)) for slope in (0.0, 1_000.0))
-    still_slope, slope = (one.optimizers["policy"].mean_3[0, 0, 0] / 0.1 for one in (still, pushed))
+    still_slope, slope = (
+        one.optimizers["policy"].mean_3[0, 0, 0] / 0.1 for one in (still, pushed)
+    )
     assert slope < -10 < 10 * still_slope  # of the loss, in the last bias
     mean = [one.act(batch.observation, deterministic=True)[:, 0].mean() for one in (still, pushed)]
     assert mean[1] > mean[0]

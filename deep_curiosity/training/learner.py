@@ -9,10 +9,14 @@ from torch import Tensor
 from deep_curiosity.agent import CuriousActorCritic
 from deep_curiosity.baselines import ConstantBonus
 from deep_curiosity.bonus import Bonus
+from deep_curiosity.compilation import compiled
 from deep_curiosity.curiosity import CuriosityBonus
+from deep_curiosity.optimization import Adam
 from deep_curiosity.replay import ReplayBuffer
 from deep_curiosity.training.collection import EnvironmentStep, EnvironmentSteps, as_batch
+from deep_curiosity.training.machine import should_compile
 from deep_curiosity.training.settings import Settings
+from deep_curiosity.transitions import Transition
 
 
 class Learner:
@@ -28,18 +32,27 @@ class Learner:
         self.settings = settings
         self.agent = make_agent(settings, observation_dim, action_dim)
         self.bonus = make_bonus(settings, observation_dim, action_dim)
+        self.agent.to(settings.device)
+        if self.bonus is not None:
+            self.bonus.to(settings.device)
         parameters = [] if self.bonus is None else list(self.bonus.parameters())
         self.bonus_optimizer = (
-            torch.optim.Adam(parameters, lr=settings.model_learning_rate, fused=True)
-            if parameters
-            else None
+            Adam(parameters, settings.model_learning_rate) if parameters else None
         )
         self.replay = ReplayBuffer(
             settings.replay_capacity,
             observation_dim,
             action_dim,
             seed=settings.seed,
+            device=settings.device,
         )
+        self._num_updates = 0
+        self._model_loss = torch.zeros(())
+        self._fit, self._improve = self._fit_models, self.agent.update
+        if should_compile(settings):
+            fall_back = settings.compile == "auto"
+            self._fit = compiled(self._fit_models, fall_back=fall_back)
+            self._improve = compiled(self.agent.update, fall_back=fall_back)
 
     def act(self, observation: np.ndarray, *, explore_uniformly: bool = False) -> np.ndarray:
         """Draw actions in [-1, 1] from the policy, or from the whole action box.
@@ -51,11 +64,12 @@ class Learner:
         shape = (*observation.shape[:-1], self.agent.action_dim)
         if explore_uniformly:
             return (2 * torch.rand(shape) - 1).numpy()
-        return self.agent.act(as_batch(observation)).reshape(shape).numpy()
+        batch = as_batch(observation).to(self.settings.device)
+        return self.agent.act(batch).reshape(shape).cpu().numpy()
 
     def act_deterministically(self, observation: Tensor) -> Tensor:
         """Centre of the policy at each observation."""
-        return self.agent.act(observation, deterministic=True)
+        return self.agent.act(observation.to(self.settings.device), deterministic=True).cpu()
 
     def store(self, step: EnvironmentStep | EnvironmentSteps) -> None:
         """Keep the step of one world, or of several, in replay."""
@@ -65,19 +79,24 @@ class Learner:
             self.replay.add(*step)
 
     def update(self) -> dict[str, Tensor]:
-        """One gradient step on the bonus's models and on every part of the agent."""
+        """One gradient step on every part of the agent, and in turn one on the bonus's models."""
         transition = self.replay.sample(self.settings.batch_size)
         metrics = {}
         if self.bonus is not None:
-            loss = self.bonus.loss(transition)
-            if self.bonus_optimizer is not None:
-                self.bonus_optimizer.zero_grad()
-                loss.backward()
-                self.bonus_optimizer.step()
+            if self._num_updates % self.settings.model_interval == 0:
+                self._model_loss = self._fit(transition)
             self.bonus.observe(transition, self.agent.act)
-            metrics = {"curiosity/model_loss": loss.detach()}
-        agent_metrics = self.agent.update(transition, self.bonus)
+            metrics = {"curiosity/model_loss": self._model_loss}
+        self._num_updates += 1
+        agent_metrics = self._improve(transition, self.bonus)
         return metrics | {f"agent/{name}": value for name, value in agent_metrics.items()}
+
+    def _fit_models(self, transition: Transition) -> Tensor:
+        assert self.bonus is not None
+        loss = self.bonus.loss(transition)
+        if self.bonus_optimizer is not None:
+            self.bonus_optimizer.step(loss)
+        return loss.detach()
 
     def diagnostics(self) -> dict[str, Tensor]:
         """What agent and bonus say of themselves; costs a few milliseconds."""
@@ -93,6 +112,8 @@ class Learner:
             "bonus": self.bonus.state_dict() if self.bonus is not None else {},
             "bonus_optimizer": self.bonus_optimizer.state_dict() if self.bonus_optimizer else {},
             "replay": self.replay.state_dict(),
+            "num_updates": self._num_updates,
+            "model_loss": self._model_loss,
             "random": torch.get_rng_state(),
         }
 
@@ -104,6 +125,8 @@ class Learner:
         if self.bonus_optimizer is not None:
             self.bonus_optimizer.load_state_dict(state["bonus_optimizer"])
         self.replay.load_state_dict(state["replay"])
+        self._num_updates = state["num_updates"]
+        self._model_loss = state["model_loss"]
         torch.set_rng_state(state["random"])
 
 

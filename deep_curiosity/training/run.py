@@ -26,6 +26,7 @@ from deep_curiosity.training.environments import (
 )
 from deep_curiosity.training.history import History, mean_return, success_rate
 from deep_curiosity.training.learner import Learner
+from deep_curiosity.training.machine import prepare_machine
 from deep_curiosity.training.records import (
     CONFIG,
     SUMMARY,
@@ -151,7 +152,7 @@ def open_run(settings: Settings) -> Iterator[Run]:
     resuming = settings.resume is not None
     if settings.resume is not None:
         settings = continued(settings, read_settings(settings.resume))
-    torch.set_num_threads(settings.threads)
+    prepare_machine(settings)
     torch.manual_seed(settings.seed)
     evaluation_environment = make_environment(settings.env_id, settings.env_kwargs)
     learner = Learner(

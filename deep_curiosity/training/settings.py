@@ -5,6 +5,8 @@ from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Literal, get_args, get_origin
 
+import torch
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -70,6 +72,8 @@ class Settings:
     """Gaussians that make up a prediction; a next state that is one of two needs two."""
     model_learning_rate: float = 1e-3
     """Of Adam, for the models."""
+    model_interval: int = 2
+    """Updates from one training step of the models to the next."""
     noise_floor: float = 0.05
     """Resolution at which the agent sees, in standard deviations of the observation."""
     components: int = 256
@@ -93,6 +97,12 @@ class Settings:
     """Steps from one checkpoint to the next; there is always one at the end."""
     threads: int = 1
     """CPU threads of torch; two are often slower than one for networks of this size."""
+    device: str = "cpu"
+    """Where replay, updates and bonus live: cpu, or cuda."""
+    compile: Literal["auto", "on", "off"] = "auto"
+    """Compile the updates, which takes half a minute at the start; auto does so for long runs."""
+    matmul_precision: Literal["auto", "highest", "high", "medium"] = "auto"
+    """Torch's switch for float32 matrix products; auto takes the fastest that is float32."""
 
     def __post_init__(self) -> None:
         """Reject what no run could be made of.
@@ -113,6 +123,11 @@ class Settings:
             if get_origin(setting.type) is Literal and value not in get_args(setting.type):
                 known = get_args(setting.type)
                 raise ValueError(f"`{setting.name}` must be one of {known}, got {value!r}.")
+        device_type = self.device.split(":")[0]
+        if device_type not in ("cpu", "cuda"):
+            raise ValueError(f"`device` must be cpu or cuda, got {self.device!r}.")
+        if device_type == "cuda" and not torch.cuda.is_available():
+            raise ValueError(f"`device` must be one that torch can use here, got {self.device!r}.")
         for name in ("seed", "learning_starts"):
             if getattr(self, name) < 0:
                 raise ValueError(f"`{name}` must not be negative, got {getattr(self, name)}.")

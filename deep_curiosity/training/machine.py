@@ -1,0 +1,95 @@
+"""Fitting a training process to its machine: matrix products, memory, device, compiler.
+
+All of it concerns the whole process, so scripts do it and the library never does.
+"""
+
+import ctypes
+import os
+import shutil
+import sys
+import time
+from typing import Literal
+
+import torch
+
+from deep_curiosity.precision import FLOAT32_ERROR, matmul_error
+from deep_curiosity.training.settings import Settings
+
+MatmulPrecision = Literal["highest", "high", "medium"]
+PRECISIONS: tuple[MatmulPrecision, ...] = ("highest", "high", "medium")
+WORTH_COMPILING = 5_000  # updates, after which what compiling took is won back
+TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3  # of glibc's mallopt
+
+
+def prepare_machine(settings: Settings) -> None:
+    """Set threads, matrix precision and allocation for a run, and say so in a line."""
+    torch.set_num_threads(settings.threads)
+    keep_freed_memory()
+    precision = choose_matmul_precision(settings.matmul_precision, settings.device)
+    torch.set_float32_matmul_precision(precision)
+    error = matmul_error(settings.device)
+    how = "compiled" if should_compile(settings) else "eager"
+    print(f"Matrix products {precision}, relative error {error:.1e}; updates {how}", flush=True)
+
+
+def choose_matmul_precision(asked: str, device: str = "cpu") -> MatmulPrecision:
+    """The precision asked for, or with `"auto"` the fastest that is float32 on this machine."""
+    before = torch.get_float32_matmul_precision()
+    rates: dict[MatmulPrecision, float] = {}
+    for precision in PRECISIONS:
+        if asked == precision:
+            return precision
+        torch.set_float32_matmul_precision(precision)
+        if matmul_error(device) < FLOAT32_ERROR:
+            rates[precision] = matmul_rate(device=device)
+    torch.set_float32_matmul_precision(before)
+    return max(rates, key=lambda precision: rates[precision])
+
+
+def matmul_rate(
+    members: int = 4, size: int = 256, *, device: str = "cpu", repeats: int = 20
+) -> float:
+    """Floating-point operations per second of a batched product, the best of some repeats."""
+    left, right = torch.randn(2, members, size, size, device=device)
+    seconds = []
+    for _ in range(repeats):
+        _wait_for(device)
+        started = time.perf_counter()
+        torch.bmm(left, right)
+        _wait_for(device)
+        seconds.append(time.perf_counter() - started)
+    return 2 * members * size**3 / min(seconds)
+
+
+def keep_freed_memory() -> None:
+    """Let the C library keep freed memory rather than hand it back after every update.
+
+    An update frees some megabytes and takes them again at once; given back to the system, they
+    return page by page, which took a third of an update where it was measured. Only glibc has the
+    setting; elsewhere nothing is done.
+    """
+    if not sys.platform.startswith("linux"):
+        return
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:
+        mallopt(TRIM_THRESHOLD, 2**31 - 1)
+        mallopt(MMAP_THRESHOLD, 2**25)  # the largest that is accepted
+
+
+def should_compile(settings: Settings) -> bool:
+    """Whether the updates of a run are to be compiled; `"auto"` asks if it is worth its time."""
+    if settings.compile != "auto":
+        return settings.compile == "on"
+    num_updates = (settings.total_steps - settings.learning_starts) * settings.update_to_data
+    return num_updates >= WORTH_COMPILING and _has_compiler(settings.device)
+
+
+def _has_compiler(device: str) -> bool:
+    if torch.device(device).type != "cpu":
+        return True  # triton brings its own
+    return shutil.which(os.environ.get("CXX", "g++")) is not None
+
+
+def _wait_for(device: str) -> None:
+    if torch.device(device).type == "cuda":
+        torch.cuda.synchronize()
