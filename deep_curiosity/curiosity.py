@@ -59,6 +59,9 @@ class CuriosityBonus(Bonus):
         bandwidth: Width of the marginal's kernels, see `NextStateMarginal`.
         target_perplexity: Read only by `bandwidth="perplexity"`.
         refresh_interval: Calls of `observe` from one refresh of the marginal to the next.
+        member_per_row: Ask one member for each pair, in turn, instead of the mean of them all: an
+            unbiased estimate for as many times less as there are members. A pair's bonus then
+            depends on its place in the batch.
 
     Raises:
         ValueError: If a count or a scale is out of range.
@@ -87,6 +90,7 @@ class CuriosityBonus(Bonus):
         bandwidth: float | Literal["silverman", "perplexity"] = "silverman",
         target_perplexity: float = 8.0,
         refresh_interval: int = 10,
+        member_per_row: bool = False,
     ) -> None:
         super().__init__()
         if not (math.isfinite(weight) and weight >= 0):
@@ -99,6 +103,7 @@ class CuriosityBonus(Bonus):
         self.center = center
         self.scale = scale
         self.refresh_interval = refresh_interval
+        self.member_per_row = member_per_row
         self.dynamics = DynamicsEnsemble(
             observation_dim,
             action_dim,
@@ -130,12 +135,13 @@ class CuriosityBonus(Bonus):
         Raises:
             RuntimeError: If nothing has been observed yet.
         """
-        nats = self.nats(observation, action)
+        nats = self._nats_by_row if self.member_per_row else self.nats
+        value = nats(observation, action)
         if self.center:
-            nats = nats - self.moments.mean
+            value = value - self.moments.mean
         if self.scale:
-            nats = nats / self.moments.scale
-        return self.weight * nats
+            value = value / self.moments.scale
+        return self.weight * value
 
     def nats(
         self,
@@ -253,10 +259,23 @@ class CuriosityBonus(Bonus):
 
     def _predict(self, observation: Tensor, action: Tensor) -> Prediction:
         self._check_pairs(observation, action)
+        return self._predict_unchecked(observation, action)
+
+    def _predict_unchecked(self, observation: Tensor, action: Tensor) -> Prediction:
         if self.marginal.is_empty:
             raise RuntimeError("`observe` must see a batch before the bonus can be computed.")
         with frozen(self.dynamics):
             return self.dynamics(observation, action)
+
+    def _nats_by_row(self, observation: Tensor, action: Tensor) -> Float[Tensor, " batch"]:
+        """Divergence of each pair as one member sees it: row `r` asks member `r % members`."""
+        batch, members = observation.shape[0], self.dynamics.members
+        turns = torch.arange(math.ceil(batch / members), device=observation.device)
+        member = torch.arange(members, device=observation.device)
+        row = (member.unsqueeze(1) + members * turns) % batch  # members turns; the last may wrap
+        self._check_pairs(observation, action)
+        nats = self._upper(self._predict_unchecked(observation[row], action[row]))
+        return nats.mT.flatten()[:batch]
 
     def _upper(self, prediction: Prediction) -> Float[Tensor, "members batch"]:
         """Upper bound of each member's divergence from the marginal, in nats."""

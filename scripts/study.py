@@ -39,6 +39,14 @@ SPARSE = [
 STUDIES = {
     "sparse": Study(SPARSE, CURIOSITY | PLAIN, seeds=5),
     "control": Study(SPARSE, {"constant bonus": {"bonus": "constant"}}, seeds=1),
+    "savings": Study(
+        SPARSE,
+        {
+            "curiosity, eager": {"compile": "off"},
+            "curiosity, nothing spared": {"model_interval": 1, "member_per_row": False},
+        },
+        seeds=5,
+    ),
     "mountain_car": Study(
         [
             Task(
@@ -73,9 +81,9 @@ STUDIES = {
 class Args:
     """What to study, and where."""
 
-    study: Literal["sparse", "control", "mountain_car", "dense"] = "sparse"
-    """PendulumSwingup and PointMaze; the same with a constant for a bonus;
-    MountainCarContinuous-v0; HalfCheetah-v5."""
+    study: Literal["sparse", "control", "savings", "mountain_car", "dense"] = "sparse"
+    """PendulumSwingup and PointMaze; the same with a constant for a bonus; the same without
+    compiling, and without what the default spares; MountainCarContinuous-v0; HalfCheetah-v5."""
     seeds: int | None = None
     """Seeds of each agent on each task; by default as many as the study is documented with."""
     runs: Path = Path("runs/study")

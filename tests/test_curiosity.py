@@ -534,3 +534,21 @@ def test_metrics_bound_the_entropy_of_a_coin(coin_bonus):
     spikes = math.log(0.05) + 0.5 * math.log(2 * math.pi * math.e)
     assert metrics["conditional_entropy"].item() == pytest.approx(math.log(2) + spikes, abs=0.01)
     assert metrics["bound_gap"] >= 0
+
+
+@pytest.mark.parametrize("batch", [1, 2, 7, 32])
+def test_a_member_per_row_answers_for_its_own_rows(batch):
+    bonus = bonus_of(1.0, 3.0, -2.0, member_per_row=True, weight=1.0, center=False, scale=False)
+    bonus.observe(random_transition(64, 2, 2))
+    pairs = random_transition(batch, 2, 2)
+    loc, log_var, _ = bonus.dynamics(pairs.observation, pairs.action)
+    each = bonus.marginal.kl_upper(loc, log_var).squeeze(-1)  # members batch
+    expected = torch.stack([each[row % 3, row] for row in range(batch)])
+    torch.testing.assert_close(bonus(pairs.observation, pairs.action), expected)
+
+
+def test_a_member_per_row_is_right_on_average():
+    bonus, batch = watchful_bonus(member_per_row=True, weight=1.0, center=False, scale=False)
+    pair = batch.observation[:1], batch.action[:1]
+    repeated = [part.expand(3 * 4, -1) for part in pair]
+    assert bonus(*repeated).mean().item() == pytest.approx(bonus.nats(*pair).item(), rel=1e-4)

@@ -168,4 +168,5 @@ def make_bonus(settings: Settings, observation_dim: int, action_dim: int) -> Bon
         components=settings.components,
         bandwidth=settings.bandwidth,
         refresh_interval=settings.refresh_interval,
+        member_per_row=settings.member_per_row,
     )

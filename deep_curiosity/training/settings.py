@@ -72,7 +72,7 @@ class Settings:
     """Gaussians that make up a prediction; a next state that is one of two needs two."""
     model_learning_rate: float = 1e-3
     """Of Adam, for the models."""
-    model_interval: int = 2
+    model_interval: int = 4
     """Updates from one training step of the models to the next."""
     noise_floor: float = 0.05
     """Resolution at which the agent sees, in standard deviations of the observation."""
@@ -82,6 +82,8 @@ class Settings:
     """Width of the marginal's kernels."""
     refresh_interval: int = 10
     """Updates from one refresh of the marginal to the next."""
+    member_per_row: bool = True
+    """Ask one model for the bonus of each transition, in turn, instead of all of them."""
 
     learning_starts: int = 500
     """Steps of uniformly random actions before the first update."""
