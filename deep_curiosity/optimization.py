@@ -34,9 +34,9 @@ class Adam(nn.Module):
         for number, parameter in enumerate(self.targets):
             self.register_buffer(f"mean_{number}", torch.zeros_like(parameter))
             self.register_buffer(f"square_{number}", torch.zeros_like(parameter))
-        self.register_buffer("count", torch.zeros((), dtype=torch.float64))
-        self.register_buffer("step_size", torch.zeros((), dtype=torch.float64))
-        self.register_buffer("epsilon", torch.zeros((), dtype=torch.float64))
+        self.register_buffer("count", torch.zeros((), dtype=torch.float32))
+        self.register_buffer("step_size", torch.zeros((), dtype=torch.float32))
+        self.register_buffer("epsilon", torch.zeros((), dtype=torch.float32))
         self._correct_next()
 
     def step(self, loss: Tensor) -> None:
@@ -47,7 +47,7 @@ class Adam(nn.Module):
                 self._step_in_graph(gradients)
             else:
                 self._step_fused(gradients)
-            self.count.add_(1)
+            self.count.copy_(self.count + 1)
             self._correct_next()
 
     def _step_fused(self, gradients: tuple[Tensor, ...]) -> None:
@@ -71,6 +71,8 @@ class Adam(nn.Module):
 
     def _step_in_graph(self, gradients: tuple[Tensor, ...]) -> None:
         """The same in the paper's cheaper order of computation, end of its section 2."""
+        # in float64, torch 2.13 would lose what a graph writes to a tensor without dimensions
+        assert self.count.dtype == torch.float32, "only float32 can be compiled"
         means, squares = self._state("mean"), self._state("square")
         torch._foreach_lerp_(means, gradients, 1 - MEAN_DECAY)
         torch._foreach_mul_(squares, SQUARE_DECAY)

@@ -1,0 +1,90 @@
+import subprocess
+import sys
+
+import pytest
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs a C++ compiler")
+
+# The type checks of the tests cannot be traced: what is compiled runs in a process of its own.
+LEARN_TWICE = """
+from copy import deepcopy
+import torch
+from deep_curiosity import CuriosityBonus, CuriousActorCritic
+from deep_curiosity.compilation import compiled
+from deep_curiosity.optimization import Adam
+from deep_curiosity.transitions import Transition
+
+torch.set_num_threads(1)
+torch.manual_seed(0)
+agent = CuriousActorCritic(3, 2, hidden_dims=(32, 32), prior="learned", policy_modes=2, **OPTIONS)
+bonus = CuriosityBonus(3, 2, hidden_dims=(32, 32), members=2, outcomes=2, components=64)
+flags = torch.rand(64) < 0.1
+batches = [
+    Transition(*torch.randn(1, 64, 3), torch.rand(64, 2) * 2 - 1, torch.randn(64),
+               torch.randn(64, 3), flags, ~flags)
+    for _ in range(20)
+]
+
+def learn(agent, bonus, compile):
+    optimizer = Adam(bonus.parameters(), 1e-3)
+    def fit(transition):
+        loss = bonus.loss(transition)
+        optimizer.step(loss)
+        return loss.detach()
+    update = agent.update
+    if compile:
+        fit, update = compiled(fit), compiled(update)
+    torch.manual_seed(1)
+    for transition in batches:
+        fit(transition)
+        bonus.observe(transition, agent.act)
+        metrics = update(transition, bonus)
+    return [*agent.parameters(), *bonus.parameters(), *metrics.values()]
+
+eager = learn(deepcopy(agent), deepcopy(bonus), compile=False)
+fused = learn(agent, bonus, compile=True)
+errors = [((a - b).norm() / b.norm().clamp(min=1e-3)).item() for a, b in zip(fused, eager)]
+print(max(errors))
+"""
+
+FALL_BACK = """
+import torch
+from deep_curiosity.compilation import compiled
+
+def looks_at_values(value):
+    return value + 1 if value.sum() > 0 else value - 1
+
+run = compiled(looks_at_values, fall_back=True)
+print([run(torch.ones(1)).item() for _ in range(5)])
+strict = compiled(looks_at_values)
+try:
+    strict(torch.ones(1))
+except Exception as error:
+    print(type(error).__name__)
+"""
+
+
+def output_of(program):
+    """Lines that a program of its own prints."""
+    run = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", program],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert run.returncode == 0, run.stderr[-2_000:]
+    return run.stdout.splitlines()
+
+
+@pytest.mark.parametrize("curiosity_discount", [0.97, 0.0])
+def test_compiled_and_eager_updates_give_the_same_numbers(curiosity_discount):
+    options = f"OPTIONS = {{'curiosity_discount': {curiosity_discount}}}\n"
+    (error,) = output_of(options + LEARN_TWICE)
+    assert float(error) < 1e-5
+
+
+def test_what_cannot_be_compiled_runs_as_it_is_where_that_is_asked_for():
+    said, values, error = output_of(FALL_BACK)
+    assert said == "looks_at_values runs uncompiled: Unsupported"
+    assert values == "[2.0, 2.0, 2.0, 2.0, 2.0]"
+    assert error == "Unsupported"
