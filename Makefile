@@ -3,7 +3,7 @@ PYTHON ?= python3
 BIN := .venv/bin
 OUT ?= runs/pendulum
 
-.PHONY: help setup train test slow lint figures study wheel clean
+.PHONY: help setup train test slow lint figures bench study wheel clean
 
 help:  ## list the targets
 	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
@@ -37,6 +37,9 @@ figures: setup  ## the studies behind the README, about an hour on 2 cores
 	$(BIN)/python scripts/study.py --study control
 	$(BIN)/python scripts/study.py --study mountain_car
 	$(BIN)/python scripts/study.py --study dense
+
+bench: setup  ## speed, floor, memory and growth into docs/benchmark, 10 minutes on an idle machine
+	$(BIN)/python scripts/benchmark.py
 
 wheel: setup  ## build the wheel into dist/
 	$(BIN)/python -m build --wheel --outdir dist

@@ -1,0 +1,188 @@
+"""What an update and a bonus cost on random transitions, as one size after another grows."""
+
+import json
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+import torch
+from torch import nn
+from torch.profiler import ProfilerActivity, profile
+
+from deep_curiosity.benchmark.agents import ACTION_DIM, OBSERVATION_DIM, Row
+from deep_curiosity.compilation import compiled
+from deep_curiosity.curiosity import CuriosityBonus
+from deep_curiosity.replay import ReplayBuffer
+from deep_curiosity.training.collection import EnvironmentSteps
+from deep_curiosity.training.learner import Learner
+from deep_curiosity.training.settings import Settings
+from deep_curiosity.transitions import Transition
+
+GROWTH: dict[str, tuple[int, ...]] = {
+    "observation_dim": (4, 17, 105, 376),
+    "batch_size": (64, 128, 256, 512, 1024),
+    "members": (2, 3, 5, 7, 10),
+    "components": (64, 128, 256, 512, 1024, 2048),
+}
+"""Sizes that grow one at a time, the others as by default."""
+NUM_PAIRS = 256  # of which the bonus is asked
+NUM_COMPONENTS = 256  # where the bonus is compiled as well
+NUM_TRANSITIONS = 1_000  # in replay
+SETTLING_CALLS = 5  # until compiled code and memory are as they stay
+
+
+def measure_growth(
+    settings: Settings,
+    growth: Mapping[str, tuple[int, ...]] = GROWTH,
+    *,
+    repeats: int,
+    updates: int,
+) -> list[Row]:
+    """Milliseconds of an update at every size, in turns.
+
+    Args:
+        settings: Of the agent.
+        growth: Values of each size; `observation_dim`, or a setting.
+        repeats: Turns of each.
+        updates: In a turn; a multiple of the intervals at which models and marginal are renewed.
+    """
+    learners = {
+        (size, value): _learner(settings, size, value)
+        for size, values in growth.items()
+        for value in values
+    }
+    return [
+        {
+            "size": size,
+            "value": value,
+            "repeat": repeat,
+            "update_ms": 1e3 * seconds_per_call(learner.update, updates),
+        }
+        for repeat in range(repeats)
+        for (size, value), learner in learners.items()
+    ]
+
+
+def _learner(settings: Settings, size: str, value: int) -> Learner:
+    """A learner of that size, after its first updates."""
+    setting: dict[str, Any] = {size: value}
+    observation_dim = setting.pop("observation_dim", OBSERVATION_DIM)
+    settings = replace(settings, **setting)
+    learner = Learner(settings, observation_dim, ACTION_DIM)
+    learner.store(random_steps(NUM_TRANSITIONS, observation_dim))
+    seconds_per_call(learner.update, SETTLING_CALLS)
+    return learner
+
+
+def measure_bonus(
+    components: tuple[int, ...] = GROWTH["components"], *, repeats: int, calls: int
+) -> list[Row]:
+    """Milliseconds of the ensemble alone, the full bonus, and one member a row, in turns.
+
+    Memory is the most that the tensors of the full bonus take at a time.
+
+    Args:
+        components: Sizes of the marginal, eager; compiled only the default.
+        repeats: Turns of each.
+        calls: In a turn.
+    """
+    transition = random_batch(NUM_PAIRS)
+    cells = [("eager", number) for number in components] + [("compiled", NUM_COMPONENTS)]
+    timed = {cell: _bonus_calls(transition, *cell) for cell in cells}
+    megabytes = {
+        (how, number): peak_allocation(timed[how, number]["bonus_ms"]) / 1e6
+        for how, number in cells
+        if how == "eager"
+    }
+    rows = []
+    for repeat in range(repeats):
+        for how, number in cells:
+            row = {"how": how, "components": number, "repeat": repeat}
+            for name, call in timed[how, number].items():
+                row[name] = 1e3 * seconds_per_call(call, calls)
+            rows.append(row | {"megabytes": megabytes.get((how, number), "")})
+    return rows
+
+
+def _bonus_calls(
+    transition: Transition, how: str, components: int
+) -> dict[str, Callable[[], Any]]:
+    """What is measured of the bonus with a full marginal, by its column, settled."""
+    full, by_row = (
+        CuriosityBonus(
+            OBSERVATION_DIM,
+            ACTION_DIM,
+            components=components,
+            refresh_interval=1,
+            member_per_row=member_per_row,
+        )
+        for member_per_row in (False, True)
+    )
+    for bonus in (full, by_row):
+        for _ in range(0, components, NUM_PAIRS):
+            bonus.observe(transition)
+    asked = {"ensemble_ms": full.dynamics, "bonus_ms": full, "bonus_by_row_ms": by_row}
+    calls: dict[str, Callable[[], Any]] = {
+        name: partial(without_gradient(module, how), transition.observation, transition.action)
+        for name, module in asked.items()
+    }
+    for call in calls.values():
+        seconds_per_call(call, SETTLING_CALLS)
+    return calls
+
+
+def without_gradient(module: nn.Module, how: str) -> Callable[..., Any]:
+    """A module as a function that keeps nothing for a gradient, eager or compiled."""
+
+    @torch.no_grad()
+    def ask(*args: Any) -> Any:
+        return module(*args)
+
+    return compiled(ask) if how == "compiled" else ask
+
+
+def peak_allocation(function: Callable[[], Any]) -> int:
+    """Most bytes that tensors made by a function take at a time, as torch's profiler sees them."""
+    with profile(activities=[ProfilerActivity.CPU], profile_memory=True) as profiler:
+        function()
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "trace.json"
+        profiler.export_chrome_trace(str(path))
+        events = json.loads(path.read_text())["traceEvents"]
+    memory = [event for event in events if event["name"] == "[memory]"]
+    memory.sort(key=lambda event: event["ts"])
+    return int(np.cumsum([event["args"]["Bytes"] for event in memory]).max(initial=0))
+
+
+def seconds_per_call(function: Callable[[], Any], calls: int) -> float:
+    """Mean time of a call."""
+    started = time.perf_counter()
+    for _ in range(calls):
+        function()
+    return (time.perf_counter() - started) / calls
+
+
+def random_batch(batch: int) -> Transition:
+    """Transitions like those of HalfCheetah-v5 in size."""
+    replay = ReplayBuffer(batch, OBSERVATION_DIM, ACTION_DIM)
+    replay.extend(*random_steps(batch, OBSERVATION_DIM))
+    return replay.all()
+
+
+def random_steps(num_steps: int, observation_dim: int) -> EnvironmentSteps:
+    """Steps of normally distributed observations that change a little."""
+    generator = np.random.default_rng(0)
+    observation, change = generator.normal(size=(2, num_steps, observation_dim))
+    return EnvironmentSteps(
+        observation=observation,
+        action=generator.uniform(-1, 1, (num_steps, ACTION_DIM)),
+        reward=generator.normal(size=num_steps),
+        next_observation=observation + 0.1 * change,
+        terminated=np.zeros(num_steps, dtype=bool),
+        truncated=np.zeros(num_steps, dtype=bool),
+    )

@@ -1,0 +1,76 @@
+"""Counted operations of an update, from the sizes of its layers: the floor below its time.
+
+Matrix products only, where a multiplication and an addition are two operations. What is done
+element by element (activations, densities, Adam) takes time too: it is what lies above the floor.
+"""
+
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+from deep_curiosity.training.settings import Settings
+
+
+def forward(rows: int, widths: Sequence[int]) -> int:
+    """Operations of a perceptron of these widths, input and output included.
+
+    Example:
+        >>> forward(10, [3, 4, 2])
+        400
+    """
+    return 2 * rows * sum(left * right for left, right in pairwise(widths))
+
+
+def fit(rows: int, widths: Sequence[int]) -> int:
+    """Operations of a pass and of its gradient in all weights; the input needs none.
+
+    The gradient in the weights is as many products as the pass; the gradient in what enters a
+    layer is as many again, but for the first layer.
+    """
+    return 2 * forward(rows, widths) + forward(rows, widths[1:])
+
+
+def climb(rows: int, widths: Sequence[int], inputs: int) -> int:
+    """Operations of a pass and of its gradient in some of the inputs; the weights need none."""
+    return forward(rows, widths) + forward(rows, [inputs, *widths[1:]])
+
+
+def update_operations(
+    settings: Settings, observation_dim: int, action_dim: int
+) -> dict[str, float]:
+    """Operations of one update, by part, as a mean over updates where a part is thinned out.
+
+    Raises:
+        ValueError: If `curiosity_discount` is 0, where the actor climbs the bonus itself.
+    """
+    if settings.curiosity_discount == 0:
+        raise ValueError("`curiosity_discount` must be above 0 to be counted, got 0.")
+    batch, modes, outcomes = settings.batch_size, settings.policy_modes, settings.outcomes
+    hidden = [settings.hidden_dim] * 2
+    policy = [observation_dim, *hidden, modes * (2 * action_dim + 1) - 1]
+    critic = [observation_dim + action_dim, *hidden, 1]
+    critics = 2 if settings.bonus == "none" else 4
+
+    target = forward(batch, policy) + critics * forward(batch, critic)
+    evaluation = critics * fit(batch, critic)
+    improvement = fit(batch, policy) + critics * climb(modes * batch, critic, action_dim)
+    agent = target + evaluation + improvement
+    if settings.bonus != "curiosity":
+        return {"agent": agent}
+
+    model = [observation_dim + action_dim, *hidden, outcomes * (2 * observation_dim + 1) - 1]
+    members, components = settings.members, settings.components
+
+    def divergence(rows: int) -> int:
+        """Predictions of every member, and their expected log density under every component."""
+        return members * (
+            forward(rows, model) + forward(rows * outcomes, [2 * observation_dim, components])
+        )
+
+    refresh = forward(batch, policy) + members * forward(batch, model) + divergence(batch)
+    asked = math.ceil(batch / members) if settings.member_per_row else batch  # rows, of each
+    return {
+        "agent": agent + divergence(asked),
+        "models": members * fit(batch, model) / settings.model_interval,
+        "statistics": refresh / settings.refresh_interval,
+    }

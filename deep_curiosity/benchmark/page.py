@@ -1,0 +1,231 @@
+"""The page that the benchmark writes beside its tables and pictures."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from deep_curiosity.benchmark.agents import ACTION_DIM, NUM_FILLED, OBSERVATION_DIM, Row
+from deep_curiosity.benchmark.ours import PARTS
+from deep_curiosity.benchmark.tables import (
+    grouped,
+    markdown_table,
+    median,
+    rate_over,
+    ratio,
+    read_rows,
+    slope,
+    spread,
+)
+from deep_curiosity.replay import ReplayBuffer
+
+AS_USED, SAME_PRECISION = "Stable-Baselines3", "Stable-Baselines3, our precision"
+"""Stable-Baselines3 as its users run it, and with our precision of matrix products."""
+
+
+def write_page(out: Path) -> None:
+    """Write `README.md` of whatever tables lie in the folder."""
+    sections: list[tuple[str, Callable[[Path], str]]] = [
+        ("agents", agents_section),
+        ("bonus", bonus_section),
+        ("scaling", growth_section),
+        ("vector", vector_section),
+    ]
+    machines = {row["section"]: row for row in read_rows(out / "machine.csv")}
+    text = [
+        "# Benchmark\n",
+        "`make bench` measures all of this on one thread and writes this page. Tables show the\n"
+        "median and `[lowest, highest]` over turns, in which all that is compared alternates;\n"
+        "ratios are taken within a turn. The CSV files beside it have every turn.\n",
+    ]
+    for name, section in sections:
+        if name in machines:
+            text += [section(out), _machine_line(machines[name])]
+    (out / "README.md").write_text("\n".join(text))
+
+
+def _machine_line(machine: Row) -> str:
+    return (
+        f"Machine: {machine['cpu']}, {machine['cores']:.0f} cores, torch {machine['torch']}, "
+        f"matrix products {machine['precision']}. Command:\n\n```sh\n{machine['command']}\n```\n"
+    )
+
+
+def agents_section(out: Path) -> str:
+    """Rates, ratios, memory; parts; floors."""
+    rows = read_rows(out / "agents.csv")
+    processes = {row["contender"]: row for row in read_rows(out / "processes.csv")}
+    return f"""## Agents
+
+HalfCheetah-v5, batch 256, two layers of 256, one update for every environment step, {NUM_FILLED}
+transitions in replay. Every contender has a process of its own, and only one computes at a time.
+Stable-Baselines3's SAC (SB3) is taken as its users run it, with torch's own precision of matrix
+products, and with the precision that ours runs with. "Curious" is the default with the learned
+prior; "nothing spared" trains its models at every update and asks all of them for every bonus. The
+first update is counted from the start of the process, imports and cold compilation included; memory
+is the largest resident memory of the process. A million transitions take {replay_megabytes():.0f} MB
+of replay.
+
+![Environment steps per second](agents.png)
+
+{rates_table(rows, processes)}
+
+Milliseconds of each part of a step and its update (medians). By default models and marginal are not
+renewed at every update; what is shown are means over updates.
+
+{parts_table(rows)}
+
+The floor is the time of the update's matrix products, counted from the sizes of the layers
+(`deep_curiosity/benchmark/operations.py`), at the rate of a batched product of four matrices of
+256 x 256, measured in the same process after every turn.
+
+{floor_table(rows)}
+"""
+
+
+def rates_table(rows: Sequence[Row], processes: dict[str, Row]) -> str:
+    """Steps per second, ratios to Stable-Baselines3, time to the first update, memory."""
+    groups = {str(name): own for (name,), own in grouped(rows, "contender").items()}
+    lines = []
+    for name, own in groups.items():
+        process = processes[name]
+        ratios = [
+            spread(own, rate_over(rows, reference)) if reference in groups else ""
+            for reference in (AS_USED, SAME_PRECISION)
+        ]
+        lines.append(
+            [
+                name,
+                spread(own, "steps_per_second"),
+                *ratios,
+                f"{process['first_update_seconds']:.1f}",
+                f"{process['peak_megabytes']:.0f}",
+            ]
+        )
+    header = ["agent", "steps per second", "to SB3", "to SB3, our precision"]
+    return markdown_table([*header, "first update, s", "peak MB"], lines)
+
+
+def parts_table(rows: Sequence[Row]) -> str:
+    """Medians of the parts of a step."""
+    lines = [
+        [str(name), *(f"{median(own, f'{part}_ms'):.3f}" for part in (*PARTS, "update"))]
+        for (name,), own in grouped(_ours(rows), "contender").items()
+    ]
+    return markdown_table(["agent", *PARTS, "whole update"], lines)
+
+
+def floor_table(rows: Sequence[Row]) -> str:
+    """Operations, rate, floor, and how far above it an update is."""
+    lines = [
+        [
+            str(name),
+            f"{median(own, 'gigaflop'):.3f}",
+            spread(own, "gigaflop_per_second"),
+            spread(own, "floor_ms"),
+            spread(own, "update_ms"),
+            spread(own, ratio("update_ms", "floor_ms")),
+        ]
+        for (name,), own in grouped(_ours(rows), "contender").items()
+    ]
+    header = ["agent", "GFLOP", "GFLOP/s", "floor, ms", "update, ms", "update / floor"]
+    return markdown_table(header, lines)
+
+
+def bonus_section(out: Path) -> str:
+    """The bonus against the ensemble."""
+    rows = read_rows(out / "bonus.csv")
+    lines = [
+        [
+            str(how),
+            f"{components:.0f}",
+            spread(own, "ensemble_ms"),
+            spread(own, "bonus_ms"),
+            spread(own, ratio("bonus_ms", "ensemble_ms")),
+            spread(own, ratio("bonus_by_row_ms", "ensemble_ms")),
+            f"{own[0]['megabytes']:.1f}" if own[0]["megabytes"] != "" else "",
+        ]
+        for (how, components), own in grouped(rows, "how", "components").items()
+    ]
+    header = [
+        "",
+        "components",
+        "ensemble, ms",
+        "full bonus, ms",
+        "full bonus / ensemble",
+        "one model a pair / ensemble",
+        "full bonus, MB",
+    ]
+    return f"""## Bonus
+
+256 pairs at {OBSERVATION_DIM} dimensions, 5 models, no gradient: the full bonus, which includes
+the ensemble's pass, against that pass alone; and the bonus that asks one model for each pair, as
+the default agent does. Memory is the most that tensors of one call take at a time.
+
+![Time and memory of the bonus](bonus.png)
+
+{markdown_table(header, lines)}
+"""
+
+
+def growth_section(out: Path) -> str:
+    """How an update grows."""
+    rows = read_rows(out / "scaling.csv")
+    lines = []
+    for (size,), own in grouped(rows, "size").items():
+        costs = {
+            float(str(v)): median(same, "update_ms")
+            for (v,), same in grouped(own, "value").items()
+        }
+        values, middle = list(costs), list(costs.values())
+        shown = ", ".join(f"{value:.0f}: {cost:.3g}" for value, cost in costs.items())
+        last = slope(values[-2:], middle[-2:])
+        name = str(size).replace("_", " ")
+        lines.append([name, shown, f"{slope(values, middle):.2f}", f"{last:.2f}"])
+    return f"""## Scaling
+
+Milliseconds of one eager update of the curious agent with the learned prior (medians), as one size
+grows and the others are those above; and the slope on logarithmic axes, through all points and of
+the last two.
+
+![Cost against size](scaling.png)
+
+{markdown_table(["size", "ms of an update", "slope", "last slope"], lines)}
+"""
+
+
+def vector_section(out: Path) -> str:
+    """Native against Gymnasium's vector environment."""
+    rows = read_rows(out / "vector.csv")
+    lines = [
+        [
+            str(task),
+            f"{num:.0f}",
+            spread(own, "native_steps_per_second"),
+            spread(own, "sync_steps_per_second"),
+            spread(own, ratio("native_steps_per_second", "sync_steps_per_second")),
+        ]
+        for (task, num), own in grouped(rows, "task", "num_envs").items()
+    ]
+    header = ["task", "worlds", "native, steps/s", "SyncVectorEnv, steps/s", "ratio"]
+    return f"""## Vector environments
+
+Environment steps per second of all worlds together under random actions, in one call of MuJoCo and
+in Gymnasium's turns; both reset worlds in the step in which they end.
+
+![Steps per second against worlds](vector.png)
+
+{markdown_table(header, lines)}
+"""
+
+
+def replay_megabytes(num_transitions: int = 1_000_000) -> float:
+    """Of transitions of HalfCheetah-v5 in replay."""
+    replay = ReplayBuffer(1, OBSERVATION_DIM, ACTION_DIM)
+    replay.add(
+        [0.0] * OBSERVATION_DIM, [0.0] * ACTION_DIM, 0.0, [0.0] * OBSERVATION_DIM, False, False
+    )
+    rows = replay.state_dict()["rows"]
+    return num_transitions * rows.nbytes / 1e6
+
+
+def _ours(rows: Sequence[Row]) -> list[Row]:
+    return [row for row in rows if row.get("update_ms") not in ("", None)]

@@ -1,0 +1,44 @@
+"""Stable-Baselines3's soft actor-critic as a contender: the pattern of an adapter."""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+import torch
+from stable_baselines3 import SAC
+
+from deep_curiosity.benchmark.ours import NUM_RANDOM_STEPS
+from deep_curiosity.training.machine import MatmulPrecision
+
+
+class StableBaselines:
+    """Its defaults are those of the benchmark: two layers of 256, batch 256, an update a step.
+
+    Args:
+        env_id: Task.
+        precision: Of matrix products; torch's own default is `"highest"`.
+    """
+
+    def __init__(self, env_id: str, precision: MatmulPrecision = "highest") -> None:
+        torch.set_float32_matmul_precision(precision)
+        self._environment = gymnasium.make(env_id)
+        self._agent = SAC("MlpPolicy", self._environment, learning_starts=0, seed=0, device="cpu")
+
+    def fill(self, num_transitions: int) -> None:
+        """Take some random steps, and repeat them in replay."""
+        transitions: list[tuple[Any, ...]] = []
+        observation, _ = self._environment.reset(seed=0)
+        for _ in range(min(num_transitions, NUM_RANDOM_STEPS)):
+            action = self._environment.action_space.sample()
+            following, reward, terminated, truncated, _ = self._environment.step(action)
+            ends = np.array([reward]), np.array([terminated])
+            transitions.append((observation, following, action, *ends, [{}]))
+            observation = self._environment.reset()[0] if terminated or truncated else following
+        buffer = self._agent.replay_buffer
+        assert buffer is not None
+        for number in range(num_transitions):
+            buffer.add(*transitions[number % len(transitions)])
+
+    def step(self, num_steps: int) -> None:
+        """Take environment steps, each followed by one update."""
+        self._agent.learn(num_steps, reset_num_timesteps=False)

@@ -1,0 +1,138 @@
+"""Measures speed, distance to the arithmetic floor, memory and growth into docs/benchmark/.
+
+Everything runs on one thread. What is compared takes turns within one run.
+"""
+
+import os
+import platform
+import shlex
+import sys
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+import torch
+import tyro
+
+from deep_curiosity.benchmark.agents import measure_agents
+from deep_curiosity.benchmark.contenders import make_peer
+from deep_curiosity.benchmark.costs import measure_bonus, measure_growth
+from deep_curiosity.benchmark.ours import OurAgent
+from deep_curiosity.benchmark.page import AS_USED, SAME_PRECISION, write_page
+from deep_curiosity.benchmark.pictures import draw_agents, draw_bonus, draw_growth, draw_vector
+from deep_curiosity.benchmark.tables import read_rows, save_rows
+from deep_curiosity.benchmark.vector import measure_vector_environments
+from deep_curiosity.training import Settings
+from deep_curiosity.training.machine import prepare_machine
+from deep_curiosity_envs import TASK_IDS
+
+STABLE_BASELINES = "deep_curiosity.benchmark.stable_baselines:StableBaselines"
+PLAIN = Settings(env_id="HalfCheetah-v5", bonus="none", prior="uniform")
+CURIOUS = replace(PLAIN, bonus="curiosity", prior="learned")
+OURS = {
+    "plain": PLAIN,
+    "curious": CURIOUS,
+    "curious, nothing spared": replace(CURIOUS, model_interval=1, member_per_row=False),
+}
+BONUS_CALLS = 50  # in a turn: a tenth of a second
+UPDATES = 20  # in a turn: a multiple of the intervals of models and marginal
+WORLD_STEPS = 2_000  # in a turn, of all worlds
+
+
+@dataclass(frozen=True)
+class Args:
+    """What to measure, how often, and where to."""
+
+    repeats: int = 7
+    """Turns of everything that is compared."""
+    steps: int = 200
+    """Environment steps of an agent in a turn; best a multiple of 20."""
+    out: Path = Path("docs/benchmark")
+    """Folder for tables, pictures and their README.md."""
+    only: Literal["agents", "bonus", "scaling", "vector"] | None = None
+    """One section; the page keeps what is there of the others."""
+    peers: dict[str, str] = field(default_factory=dict)
+    """Further agents, each a name and module:callable, which makes a contender as described in
+    deep_curiosity/benchmark/contenders.py."""
+
+
+def main(args: Args) -> None:
+    """Measure section by section; write tables, pictures and the page."""
+    args.out.mkdir(parents=True, exist_ok=True)
+    prepare_machine(replace(CURIOUS, compile="off"))
+    for section, measure in SECTIONS.items():
+        if args.only in (None, section):
+            measure(args)
+            note_machine(args.out / "machine.csv", section)
+            print(f"{section}: measured", flush=True)
+    write_page(args.out)
+    print(f"See {args.out / 'README.md'}")
+
+
+def agents(args: Args) -> None:
+    """Ours, compiled and eager, and Stable-Baselines3's, with its precision and with ours."""
+    precision = torch.get_float32_matmul_precision()
+    ours = {
+        f"{name}, {how}": replace(settings, compile=switch)
+        for name, settings in OURS.items()
+        for how, switch in {"compiled": "on", "eager": "off"}.items()
+    }
+    contenders = {name: partial(OurAgent, own, precision) for name, own in ours.items()} | {
+        AS_USED: partial(make_peer, STABLE_BASELINES, PLAIN.env_id, "highest"),
+        SAME_PRECISION: partial(make_peer, STABLE_BASELINES, PLAIN.env_id, precision),
+    }
+    contenders |= {name: partial(make_peer, address) for name, address in args.peers.items()}
+    turns, processes = measure_agents(contenders, ours, repeats=args.repeats, steps=args.steps)
+    save_rows(args.out / "agents.csv", turns)
+    save_rows(args.out / "processes.csv", processes)
+    draw_agents(args.out / "agents.png", turns)
+
+
+def bonus(args: Args) -> None:
+    """The full bonus against the ensemble's pass alone."""
+    rows = measure_bonus(repeats=args.repeats, calls=BONUS_CALLS)
+    save_rows(args.out / "bonus.csv", rows)
+    draw_bonus(args.out / "bonus.png", rows)
+
+
+def scaling(args: Args) -> None:
+    """An update as one size after another grows."""
+    rows = measure_growth(replace(CURIOUS, compile="off"), repeats=args.repeats, updates=UPDATES)
+    save_rows(args.out / "scaling.csv", rows)
+    draw_growth(args.out / "scaling.png", rows)
+
+
+def vector(args: Args) -> None:
+    """The tasks of this package, many worlds at a time."""
+    rows = measure_vector_environments(TASK_IDS, repeats=args.repeats, steps=WORLD_STEPS)
+    save_rows(args.out / "vector.csv", rows)
+    draw_vector(args.out / "vector.png", rows)
+
+
+SECTIONS = {"agents": agents, "bonus": bonus, "scaling": scaling, "vector": vector}
+
+
+def note_machine(path: Path, section: str) -> None:
+    """Keep on what machine, and by what command, a section was measured."""
+    row = {
+        "section": section,
+        "cpu": cpu_name(),
+        "cores": os.cpu_count(),
+        "torch": torch.__version__,
+        "precision": torch.get_float32_matmul_precision(),
+        "command": " ".join(["python", "scripts/benchmark.py", *map(shlex.quote, sys.argv[1:])]),
+    }
+    save_rows(path, [*(other for other in read_rows(path) if other["section"] != section), row])
+
+
+def cpu_name() -> str:
+    """What the system calls its CPU."""
+    path = Path("/proc/cpuinfo")
+    lines = path.read_text().splitlines() if path.exists() else []
+    names = (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+    return next(names, platform.processor())
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Args, description=__doc__))
