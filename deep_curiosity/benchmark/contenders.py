@@ -12,11 +12,12 @@ from collections.abc import Callable
 from multiprocessing.connection import Connection
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol, runtime_checkable
 
 import torch
 
 
+@runtime_checkable
 class Contender(Protocol):
     """An agent in its environment, with random actions behind it and updates ahead."""
 

@@ -82,7 +82,7 @@ def _learner(settings: Settings, size: str, value: int) -> Learner:
 def measure_bonus(
     components: tuple[int, ...] = GROWTH["components"], *, repeats: int, calls: int
 ) -> list[Row]:
-    """Milliseconds of the ensemble alone, the full bonus, and one member a row, in turns.
+    """Milliseconds of the ensemble alone, the full bonus, and one model a pair, call by call.
 
     Memory is the most that the tensors of the full bonus take at a time.
 
@@ -102,9 +102,8 @@ def measure_bonus(
     rows = []
     for repeat in range(repeats):
         for how, number in cells:
-            row = {"how": how, "components": number, "repeat": repeat}
-            for name, call in timed[how, number].items():
-                row[name] = 1e3 * seconds_per_call(call, calls)
+            row: Row = {"how": how, "components": number, "repeat": repeat}
+            row |= alternate(timed[how, number], calls)
             rows.append(row | {"megabytes": megabytes.get((how, number), "")})
     return rows
 
@@ -134,6 +133,15 @@ def _bonus_calls(
     for call in calls.values():
         seconds_per_call(call, SETTLING_CALLS)
     return calls
+
+
+def alternate(functions: Mapping[str, Callable[[], Any]], calls: int) -> Row:
+    """Median milliseconds of a call of each, called in turns."""
+    turns = [
+        [1e3 * seconds_per_call(function, 1) for function in functions.values()]
+        for _ in range(calls)
+    ]
+    return dict(zip(functions, np.median(turns, axis=0).tolist(), strict=True))
 
 
 def without_gradient(module: nn.Module, how: str) -> Callable[..., Any]:

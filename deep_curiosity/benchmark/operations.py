@@ -54,7 +54,7 @@ def update_operations(
     target = forward(batch, policy) + critics * forward(batch, critic)
     evaluation = critics * fit(batch, critic)
     improvement = fit(batch, policy) + critics * climb(modes * batch, critic, action_dim)
-    agent = target + evaluation + improvement
+    agent = float(target + evaluation + improvement)
     if settings.bonus != "curiosity":
         return {"agent": agent}
 

@@ -60,16 +60,16 @@ transitions in replay. Every contender has a process of its own, and only one co
 Stable-Baselines3's SAC (SB3) is taken as its users run it, with torch's own precision of matrix
 products, and with the precision that ours runs with. "Curious" is the default with the learned
 prior; "nothing spared" trains its models at every update and asks all of them for every bonus. The
-first update is counted from the start of the process, imports and cold compilation included; memory
-is the largest resident memory of the process. A million transitions take {replay_megabytes():.0f} MB
-of replay.
+first update is counted from the start of the process, imports and cold compilation included;
+memory is the largest resident memory of the process. A million transitions of replay take
+{replay_megabytes():.0f} MB.
 
 ![Environment steps per second](agents.png)
 
 {rates_table(rows, processes)}
 
-Milliseconds of each part of a step and its update (medians). By default models and marginal are not
-renewed at every update; what is shown are means over updates.
+Milliseconds of each part of a step and its update (medians). By default models and marginal are
+not renewed at every update; what is shown are means over updates.
 
 {parts_table(rows)}
 
@@ -199,17 +199,17 @@ def vector_section(out: Path) -> str:
         [
             str(task),
             f"{num:.0f}",
-            spread(own, "native_steps_per_second"),
-            spread(own, "sync_steps_per_second"),
+            spread(own, lambda row: row["native_steps_per_second"] / 1e3),
+            spread(own, lambda row: row["sync_steps_per_second"] / 1e3),
             spread(own, ratio("native_steps_per_second", "sync_steps_per_second")),
         ]
         for (task, num), own in grouped(rows, "task", "num_envs").items()
     ]
-    header = ["task", "worlds", "native, steps/s", "SyncVectorEnv, steps/s", "ratio"]
+    header = ["task", "worlds", "native", "SyncVectorEnv", "ratio"]
     return f"""## Vector environments
 
-Environment steps per second of all worlds together under random actions, in one call of MuJoCo and
-in Gymnasium's turns; both reset worlds in the step in which they end.
+Thousands of environment steps per second, of all worlds together under random actions, in one call
+of MuJoCo and in Gymnasium's turns; both reset worlds in the step in which they end.
 
 ![Steps per second against worlds](vector.png)
 

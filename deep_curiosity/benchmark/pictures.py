@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator
 
 from deep_curiosity.benchmark.agents import Row
 from deep_curiosity.benchmark.tables import grouped, median, slope
@@ -60,10 +61,12 @@ def draw_power(axes: Axes, rows: Sequence[Row], over: str, column: str, label: s
     points = {float(str(value)): own for (value,), own in grouped(rows, over).items()}
     costs = [[row[column] for row in own] for own in points.values()]
     middle = [median(own, column) for own in points.values()]
-    label = f"{label}: slope {slope(list(points), middle):.2f}"
-    axes.errorbar(list(points), middle, _reach(costs), marker="o", capsize=2, label=label)
-    axes.loglog()
-    axes.legend(fontsize=7)
+    values = list(points)
+    everywhere, at_last = slope(values, middle), slope(values[-2:], middle[-2:])
+    label = f"{label}: slope {everywhere:.2f}, at last {at_last:.2f}"
+    axes.errorbar(values, middle, _reach(costs), marker="o", capsize=2, label=label)
+    _use_logarithms(axes, values)
+    axes.legend(fontsize=7, loc="upper left")
 
 
 def draw_vector(path: Path, rows: Sequence[Row]) -> None:
@@ -73,22 +76,31 @@ def draw_vector(path: Path, rows: Sequence[Row]) -> None:
     panels = figure.subplots(1, len(tasks), squeeze=False, sharey=True)[0]
     for axes, ((task,), own) in zip(panels, tasks.items(), strict=True):
         groups = grouped(own, "num_envs")
+        numbers = [float(str(number)) for (number,) in groups]
         for column, label, color in (
             ("native_steps_per_second", "native", OURS),
             ("sync_steps_per_second", "SyncVectorEnv", THEIRS),
         ):
             rates = [[row[column] for row in same] for same in groups.values()]
-            numbers = [number for (number,) in groups]
             axes.errorbar(
                 numbers, np.median(rates, axis=1), _reach(rates),
                 marker="o", capsize=2, color=color, label=label,
             )  # fmt: skip
-        axes.loglog(base=10)
+        _use_logarithms(axes, numbers)
         axes.set(title=task, xlabel="worlds")
         axes.title.set_fontsize(9)
-        axes.legend(fontsize=8)
+        axes.legend(fontsize=8, loc="upper left")
     panels[0].set_ylabel("environment steps per second")
     figure.savefig(path, dpi=120)
+
+
+def _use_logarithms(axes: Axes, values: Sequence[float]) -> None:
+    """Scale both axes by logarithms, with plain numbers: below them, the values taken."""
+    axes.loglog()
+    axes.set_xticks(values, [f"{value:.0f}" for value in values])
+    axes.minorticks_off()
+    axes.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+    axes.yaxis.set_major_formatter("{x:g}")
 
 
 def _reach(values: Sequence[Sequence[float]]) -> np.ndarray:

@@ -1,0 +1,22 @@
+from dataclasses import replace
+from functools import partial
+
+from deep_curiosity.benchmark.agents import measure_agents
+from deep_curiosity.benchmark.contenders import make_peer
+from deep_curiosity.benchmark.ours import OurAgent
+
+
+def test_agents_take_turns_and_who_is_missing_is_left_out(tiny, capsys):
+    settings = {"ours": replace(tiny, env_id="HalfCheetah-v5", env_kwargs={}, compile="off")}
+    contenders = {
+        "ours": partial(OurAgent, settings["ours"], "highest"),
+        "theirs": partial(make_peer, "no_such_package:Agent"),
+    }
+    turns, processes = measure_agents(contenders, settings, repeats=2, steps=5, num_filled=50)
+    assert [(row["contender"], row["repeat"]) for row in turns] == [("ours", 0), ("ours", 1)]
+    for row in turns:
+        parts = row["sampling_ms"] + row["models_ms"] + row["statistics_ms"] + row["agent_ms"]
+        assert 0 < parts <= row["update_ms"] < 1e3 / row["steps_per_second"]
+        assert 0 < row["floor_ms"] < row["update_ms"]
+    assert processes[0]["peak_megabytes"] > 100
+    assert "theirs is left out: No module named 'no_such_package'" in capsys.readouterr().out

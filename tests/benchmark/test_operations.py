@@ -1,0 +1,80 @@
+from dataclasses import replace
+
+import pytest
+import torch
+from torch.utils.flop_counter import FlopCounterMode
+
+from deep_curiosity.benchmark.costs import random_steps
+from deep_curiosity.benchmark.operations import climb, fit, forward, update_operations
+from deep_curiosity.training import Settings
+from deep_curiosity.training.learner import Learner
+
+SMALL = Settings(
+    hidden_dim=4,
+    batch_size=10,
+    members=2,
+    components=5,
+    model_interval=2,
+    refresh_interval=10,
+    member_per_row=False,
+)
+# products: policy 3-4-4-4 has 44, critic 5-4-4-1 has 40, model 5-4-4-6 has 60
+
+
+def test_a_multiplication_and_an_addition_are_two_operations():
+    assert forward(10, [3, 4, 2]) == 2 * 10 * (12 + 8)
+
+
+def test_the_first_layer_needs_no_gradient_in_its_input():
+    assert fit(10, [3, 4, 2]) == 20 * ((12 + 8) + (12 + 8) + 8)
+
+
+def test_what_is_climbed_needs_no_gradient_in_its_weights():
+    assert climb(10, [3, 4, 2], 1) == 20 * ((12 + 8) + (4 + 8))
+
+
+def test_operations_of_the_plain_agent():
+    target = 20 * (44 + 2 * 40)
+    evaluation = 2 * 20 * (40 + 40 + 20)
+    improvement = 20 * (44 + 44 + 32) + 2 * 20 * (40 + 28)
+    operations = update_operations(replace(SMALL, bonus="none"), 3, 2)
+    assert operations == {"agent": target + evaluation + improvement}
+
+
+def test_operations_of_the_curious_agent():
+    operations = update_operations(SMALL, 3, 2)
+    critics = 20 * 4 * 40 + 4 * 20 * (40 + 40 + 20) + 4 * 20 * (40 + 28)
+    policy = 20 * 44 + 20 * (44 + 44 + 32)
+    divergence = 2 * (20 * 60 + 20 * 6 * 5)
+    assert operations["agent"] == critics + policy + divergence
+    assert operations["models"] == 2 * 20 * (60 + 60 + 40) / 2
+    assert operations["statistics"] == (20 * 44 + 2 * 20 * 60 + divergence) / 10
+
+
+def test_a_member_for_each_row_asks_the_ensemble_once():
+    asked = update_operations(replace(SMALL, member_per_row=True), 3, 2)["agent"]
+    by_all = update_operations(SMALL, 3, 2)["agent"]
+    assert by_all - asked == 20 * 60 + 20 * 6 * 5
+
+
+@pytest.mark.parametrize("bonus", ["none", "curiosity"])
+def test_torch_counts_as_many_operations(bonus):
+    settings = Settings(bonus=bonus, batch_size=64, model_interval=1, compile="off")
+    settings = replace(settings, refresh_interval=1)
+    learner = Learner(settings, 17, 6)
+    learner.store(random_steps(100, 17))
+    learner.update()
+    with FlopCounterMode(display=False) as counter:
+        learner.update()
+    expected = sum(update_operations(settings, 17, 6).values())
+    # torch leaves out last layers of one column, and takes gradients in observations as well
+    assert counter.get_total_flops() == pytest.approx(expected, rel=0.05)
+
+
+def test_the_paper_s_one_step_agent_is_not_counted():
+    with pytest.raises(ValueError, match=r"above 0 to be counted, got 0"):
+        update_operations(replace(SMALL, curiosity_discount=0.0), 3, 2)
+
+
+def test_importing_the_counts_leaves_the_precision_alone():
+    assert torch.get_float32_matmul_precision() == "highest"

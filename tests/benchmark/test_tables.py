@@ -1,0 +1,49 @@
+import pytest
+
+from deep_curiosity.benchmark.tables import (
+    grouped,
+    markdown_table,
+    rate_over,
+    ratio,
+    read_rows,
+    save_rows,
+    slope,
+    spread,
+)
+
+ROWS = [
+    {"contender": name, "repeat": repeat, "steps_per_second": rate}
+    for name, rates in {"ours": (200.0, 100.0, 330.0), "theirs": (100.0, 100.0, 110.0)}.items()
+    for repeat, rate in enumerate(rates)
+]
+
+
+def test_slope_is_the_exponent_of_a_power_law():
+    values = [1.0, 2.0, 4.0, 8.0]
+    assert slope(values, [3 * value**1.5 for value in values]) == pytest.approx(1.5)
+
+
+def test_ratios_are_taken_within_a_turn():
+    assert spread(ROWS[:3], rate_over(ROWS, "theirs")) == "2 [1, 3]"
+
+
+def test_one_column_over_another():
+    assert ratio("bonus", "ensemble")({"bonus": 3.0, "ensemble": 2.0}) == 1.5
+
+
+def test_groups_keep_their_order():
+    assert list(grouped(ROWS[::-1], "contender")) == [("theirs",), ("ours",)]
+
+
+def test_markdown():
+    assert markdown_table(["a", "b"], [["1", "2"]]) == "| a | b |\n| --- | --- |\n| 1 | 2 |"
+
+
+def test_rows_come_back_from_a_file_with_gaps_empty(tmp_path):
+    path = tmp_path / "rows.csv"
+    save_rows(path, [{"name": "plain", "ms": 1.5}, {"name": "other", "megabytes": 3.0}])
+    assert read_rows(path) == [
+        {"name": "plain", "ms": 1.5, "megabytes": ""},
+        {"name": "other", "ms": "", "megabytes": 3.0},
+    ]
+    assert read_rows(tmp_path / "none.csv") == []

@@ -1,0 +1,22 @@
+from deep_curiosity.benchmark.page import write_page
+from deep_curiosity.benchmark.pictures import draw_vector
+from deep_curiosity.benchmark.tables import save_rows
+from deep_curiosity.benchmark.vector import measure_vector_environments
+from deep_curiosity_envs import TASK_IDS
+
+
+def test_a_section_leaves_table_picture_and_page(tmp_path):
+    rows = measure_vector_environments(TASK_IDS[:1], (1, 2), repeats=2, steps=6)
+    assert len(rows) == 4
+    save_rows(tmp_path / "vector.csv", rows)
+    draw_vector(tmp_path / "vector.png", rows)
+    machine = {"section": "vector", "cpu": "some CPU", "cores": 2, "torch": "2.13"}
+    save_rows(
+        tmp_path / "machine.csv", [machine | {"precision": "highest", "command": "make bench"}]
+    )
+    write_page(tmp_path)
+    page = (tmp_path / "README.md").read_text()
+    assert f"| {TASK_IDS[0]} | 2 | " in page
+    assert "Machine: some CPU, 2 cores, torch 2.13" in page
+    assert "## Agents" not in page
+    assert (tmp_path / "vector.png").stat().st_size > 5_000
