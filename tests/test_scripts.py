@@ -66,3 +66,10 @@ def test_help_says_what_every_option_is(script):
     shown = run(script, "--help")
     assert shown.returncode == 0
     assert "Folder" in shown.stdout
+
+
+def test_a_section_of_the_benchmark_leaves_its_page(tmp_path):
+    measured = run("benchmark.py", "--only", "vector", "--repeats", 1, "--out", tmp_path)
+    assert measured.returncode == 0, measured.stderr
+    assert "## Vector environments" in (tmp_path / "README.md").read_text()
+    assert (tmp_path / "vector.png").exists()
