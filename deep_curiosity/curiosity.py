@@ -15,7 +15,7 @@ from deep_curiosity.divergences import (
     jensen_shannon_lower,
     jensen_shannon_upper,
 )
-from deep_curiosity.dynamics import DynamicsEnsemble, Prediction
+from deep_curiosity.dynamics import DynamicsEnsemble, Prediction, rows_in_turn
 from deep_curiosity.marginal import NextStateMarginal
 from deep_curiosity.networks import frozen
 from deep_curiosity.normalization import RunningMoments
@@ -59,9 +59,9 @@ class CuriosityBonus(Bonus):
         bandwidth: Width of the marginal's kernels, see `NextStateMarginal`.
         target_perplexity: Read only by `bandwidth="perplexity"`.
         refresh_interval: Calls of `observe` from one refresh of the marginal to the next.
-        member_per_row: Ask one member for each pair, in turn, instead of the mean of them all: an
-            unbiased estimate for as many times less as there are members. A pair's bonus then
-            depends on its place in the batch.
+        member_per_row: Ask one member for each pair, in turn, instead of the mean of them all, and
+            let each transition train one: an unbiased estimate for as many times less as there
+            are members. A pair's bonus then depends on its place in the batch.
 
     Raises:
         ValueError: If a count or a scale is out of range.
@@ -111,6 +111,7 @@ class CuriosityBonus(Bonus):
             outcomes=outcomes,
             hidden_dims=hidden_dims,
             noise_floor=noise_floor,
+            member_per_row=member_per_row,
         )
         self.marginal = NextStateMarginal(
             observation_dim,
@@ -269,11 +270,9 @@ class CuriosityBonus(Bonus):
 
     def _nats_by_row(self, observation: Tensor, action: Tensor) -> Float[Tensor, " batch"]:
         """Divergence of each pair as one member sees it: row `r` asks member `r % members`."""
-        batch, members = observation.shape[0], self.dynamics.members
-        turns = torch.arange(math.ceil(batch / members), device=observation.device)
-        member = torch.arange(members, device=observation.device)
-        row = (member.unsqueeze(1) + members * turns) % batch  # members turns; the last may wrap
         self._check_pairs(observation, action)
+        batch = observation.shape[0]
+        row, _ = rows_in_turn(batch, self.dynamics.members, observation.device)
         nats = self._upper(self._predict_unchecked(observation[row], action[row]))
         return nats.mT.flatten()[:batch]
 

@@ -46,8 +46,6 @@ class Learner:
             seed=settings.seed,
             device=settings.device,
         )
-        self._num_updates = 0
-        self._model_loss = torch.zeros(())
         self._fit, self._improve = self._fit_models, self.agent.update
         if should_compile(settings):
             fall_back = settings.compile == "auto"
@@ -79,15 +77,12 @@ class Learner:
             self.replay.add(*step)
 
     def update(self) -> dict[str, Tensor]:
-        """One gradient step on every part of the agent, and in turn one on the bonus's models."""
+        """One gradient step on the bonus's models and on every part of the agent."""
         transition = self.replay.sample(self.settings.batch_size)
         metrics = {}
         if self.bonus is not None:
-            if self._num_updates % self.settings.model_interval == 0:
-                self._model_loss = self._fit(transition)
+            metrics = {"curiosity/model_loss": self._fit(transition)}
             self.bonus.observe(transition, self.agent.act)
-            metrics = {"curiosity/model_loss": self._model_loss}
-        self._num_updates += 1
         agent_metrics = self._improve(transition, self.bonus)
         return metrics | {f"agent/{name}": value for name, value in agent_metrics.items()}
 
@@ -112,8 +107,6 @@ class Learner:
             "bonus": self.bonus.state_dict() if self.bonus is not None else {},
             "bonus_optimizer": self.bonus_optimizer.state_dict() if self.bonus_optimizer else {},
             "replay": self.replay.state_dict(),
-            "num_updates": self._num_updates,
-            "model_loss": self._model_loss,
             "random": torch.get_rng_state(),
         }
 
@@ -125,8 +118,6 @@ class Learner:
         if self.bonus_optimizer is not None:
             self.bonus_optimizer.load_state_dict(state["bonus_optimizer"])
         self.replay.load_state_dict(state["replay"])
-        self._num_updates = state["num_updates"]
-        self._model_loss = state["model_loss"]
         torch.set_rng_state(state["random"])
 
 
