@@ -46,11 +46,9 @@ class Learner:
             seed=settings.seed,
             device=settings.device,
         )
-        self._fit, self._improve = self._fit_models, self.agent.update
+        self._learn = self._learn_eagerly
         if should_compile(settings):
-            fall_back = settings.compile == "auto"
-            self._fit = compiled(self._fit_models, fall_back=fall_back)
-            self._improve = compiled(self.agent.update, fall_back=fall_back)
+            self._learn = compiled(self._learn_eagerly, fall_back=settings.compile == "auto")
 
     def act(self, observation: np.ndarray, *, explore_uniformly: bool = False) -> np.ndarray:
         """Draw actions in [-1, 1] from the policy, or from the whole action box.
@@ -79,19 +77,20 @@ class Learner:
     def update(self) -> dict[str, Tensor]:
         """One gradient step on the bonus's models and on every part of the agent."""
         transition = self.replay.sample(self.settings.batch_size)
+        if self.bonus is not None:
+            self.bonus.observe(transition, self.agent.act)
+        return self._learn(transition)
+
+    def _learn_eagerly(self, transition: Transition) -> dict[str, Tensor]:
+        """The part of an update that can be one graph; returns what to log."""
         metrics = {}
         if self.bonus is not None:
-            metrics = {"curiosity/model_loss": self._fit(transition)}
-            self.bonus.observe(transition, self.agent.act)
-        agent_metrics = self._improve(transition, self.bonus)
+            loss = self.bonus.loss(transition)
+            if self.bonus_optimizer is not None:
+                self.bonus_optimizer.step(loss)
+            metrics["curiosity/model_loss"] = loss.detach()
+        agent_metrics = self.agent.update(transition, self.bonus)
         return metrics | {f"agent/{name}": value for name, value in agent_metrics.items()}
-
-    def _fit_models(self, transition: Transition) -> Tensor:
-        assert self.bonus is not None
-        loss = self.bonus.loss(transition)
-        if self.bonus_optimizer is not None:
-            self.bonus_optimizer.step(loss)
-        return loss.detach()
 
     def diagnostics(self) -> dict[str, Tensor]:
         """What agent and bonus say of themselves; costs a few milliseconds."""
