@@ -15,7 +15,7 @@ from deep_curiosity.divergences import (
     jensen_shannon_lower,
     jensen_shannon_upper,
 )
-from deep_curiosity.dynamics import DynamicsEnsemble, Prediction
+from deep_curiosity.dynamics import DynamicsEnsemble, Prediction, rows_in_turn
 from deep_curiosity.marginal import NextStateMarginal
 from deep_curiosity.networks import frozen
 from deep_curiosity.normalization import RunningMoments
@@ -59,9 +59,9 @@ class CuriosityBonus(Bonus):
         bandwidth: Width of the marginal's kernels, see `NextStateMarginal`.
         target_perplexity: Read only by `bandwidth="perplexity"`.
         refresh_interval: Calls of `observe` from one refresh of the marginal to the next.
-        member_per_row: Ask one member for each pair, in turn, instead of the mean of them all: an
-            unbiased estimate for as many times less as there are members. A pair's bonus then
-            depends on its place in the batch.
+        member_per_row: Ask one member for each pair, in turn, instead of the mean of them all, and
+            let each transition train one: an unbiased estimate for as many times less as there
+            are members. A pair's bonus then depends on its place in the batch.
 
     Raises:
         ValueError: If a count or a scale is out of range.
@@ -111,6 +111,7 @@ class CuriosityBonus(Bonus):
             outcomes=outcomes,
             hidden_dims=hidden_dims,
             noise_floor=noise_floor,
+            member_per_row=member_per_row,
         )
         self.marginal = NextStateMarginal(
             observation_dim,
@@ -135,8 +136,7 @@ class CuriosityBonus(Bonus):
         Raises:
             RuntimeError: If nothing has been observed yet.
         """
-        nats = self._nats_by_row if self.member_per_row else self.nats
-        value = nats(observation, action)
+        value = self._estimate(observation, action)
         if self.center:
             value = value - self.moments.mean
         if self.scale:
@@ -259,23 +259,30 @@ class CuriosityBonus(Bonus):
 
     def _predict(self, observation: Tensor, action: Tensor) -> Prediction:
         self._check_pairs(observation, action)
-        return self._predict_unchecked(observation, action)
-
-    def _predict_unchecked(self, observation: Tensor, action: Tensor) -> Prediction:
-        if self.marginal.is_empty:
-            raise RuntimeError("`observe` must see a batch before the bonus can be computed.")
+        self._check_observed()
         with frozen(self.dynamics):
             return self.dynamics(observation, action)
 
-    def _nats_by_row(self, observation: Tensor, action: Tensor) -> Float[Tensor, " batch"]:
-        """Divergence of each pair as one member sees it: row `r` asks member `r % members`."""
-        batch, members = observation.shape[0], self.dynamics.members
-        turns = torch.arange(math.ceil(batch / members), device=observation.device)
-        member = torch.arange(members, device=observation.device)
-        row = (member.unsqueeze(1) + members * turns) % batch  # members turns; the last may wrap
+    def _check_observed(self) -> None:
+        if self.marginal.is_empty:
+            raise RuntimeError("`observe` must see a batch before the bonus can be computed.")
+
+    def _estimate(self, observation: Tensor, action: Tensor) -> Float[Tensor, " batch"]:
+        """Raw divergence in nats, of all members or of one for each pair."""
+        if not self.member_per_row:
+            return self.nats(observation, action)
         self._check_pairs(observation, action)
-        nats = self._upper(self._predict_unchecked(observation[row], action[row]))
-        return nats.mT.flatten()[:batch]
+        self._check_observed()
+        with frozen(self.dynamics):
+            return self._upper(self._predict_in_turn(observation, action)).squeeze(0)
+
+    def _predict_in_turn(self, observation: Tensor, action: Tensor) -> Prediction:
+        """Prediction of each pair by one member: row `r` asks member `r % members`."""
+        batch = observation.shape[0]
+        row, _ = rows_in_turn(batch, self.dynamics.members, observation.device)
+        in_turn = self.dynamics(observation[row], action[row])  # members turns ...
+        in_order = (field.transpose(0, 1).flatten(0, 1)[:batch] for field in in_turn)
+        return Prediction(*(field.unsqueeze(0) for field in in_order))
 
     def _upper(self, prediction: Prediction) -> Float[Tensor, "members batch"]:
         """Upper bound of each member's divergence from the marginal, in nats."""
@@ -301,12 +308,11 @@ class CuriosityBonus(Bonus):
     def _refresh(self, transition: Transition, fresh_action: Tensor) -> None:
         """Renew the marginal's components, the standardisation and the probes."""
         observation = transition.observation
-        loc, log_var, log_weight = self.dynamics(observation, fresh_action)
+        (loc,), (log_var,), (log_weight,) = self._predict_in_turn(observation, fresh_action)
         rows = torch.arange(observation.shape[0], device=observation.device)
-        member = rows % self.dynamics.members  # each component is some member's, in turn
-        outcome = torch.multinomial(log_weight[member, rows].exp(), 1).squeeze(-1)
-        self.marginal.refresh(loc[member, rows, outcome], log_var[member, rows, outcome])
-        nats = self.nats(observation, transition.action)
+        outcome = torch.multinomial(log_weight.exp(), 1).squeeze(-1)
+        self.marginal.refresh(loc[rows, outcome], log_var[rows, outcome])
+        nats = self._estimate(observation, transition.action)
         self.moments.update(nats.unsqueeze(-1))
         probes = torch.arange(NUM_PROBES, device=observation.device) % observation.shape[0]
         self.probe_observation.copy_(observation[probes])

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn.functional import softplus
 
@@ -51,6 +51,8 @@ class DynamicsEnsemble(nn.Module):
         outcomes: Gaussians that make up each prediction.
         hidden_dims: Width of every hidden layer.
         noise_floor: Standard deviation added to every prediction, in whitened units.
+        member_per_row: Let each transition of a batch train one member, in turn, instead of every
+            member by a bootstrap: for as many times less as there are members.
 
     Raises:
         ValueError: If `members` is below 2 or a count, dimension or the floor is not positive.
@@ -68,6 +70,7 @@ class DynamicsEnsemble(nn.Module):
         outcomes: int = 1,
         hidden_dims: Sequence[int] = (256, 256),
         noise_floor: float = 0.05,
+        member_per_row: bool = False,
     ) -> None:
         super().__init__()
         if members < 2:
@@ -87,6 +90,7 @@ class DynamicsEnsemble(nn.Module):
         self.members = members
         self.outcomes = outcomes
         self.noise_floor = noise_floor
+        self.member_per_row = member_per_row
         self.network = StackedMLP(
             members,
             observation_dim + action_dim,
@@ -118,22 +122,34 @@ class DynamicsEnsemble(nn.Module):
     def loss(self, transition: Transition) -> Float[Tensor, ""]:
         """Negative log-likelihood of the whitened change, in nats, summed over members.
 
-        Every member weighs the batch by its own bootstrap (Poisson counts). One transition in
-        twenty, chosen for good by its content, is held out of every bootstrap and measured.
+        Every member weighs the batch by its own bootstrap (Poisson counts), or has its own share
+        of the rows. One transition in twenty, chosen for good by its content, trains no member and
+        is measured.
         """
-        change, target = self._change_and_target(transition)
+        observation, action, _, next_observation, *_ = transition
+        held_out = is_held_out(torch.cat([observation, action, next_observation], -1))
+        num_trained = (~held_out).sum().clamp(min=1)
+        if self.member_per_row:
+            row, once = rows_in_turn(observation.shape[0], self.members, observation.device)
+            observation, action, next_observation, held_out = (
+                field[row] for field in (observation, action, next_observation, held_out)
+            )
+            weight = (once & ~held_out) * float(self.members)
+        else:
+            ones = torch.ones(self.members, *held_out.shape).to(observation)
+            weight = torch.poisson(ones).masked_fill_(held_out, 0.0)
+        change, target = self._change_and_target(observation, action, next_observation)
         nll = _negative_log_likelihood(change, target)
-        held_out = is_held_out(
-            torch.cat([transition.observation, transition.action, transition.next_observation], -1)
-        )
         with torch.no_grad():
-            weight = torch.poisson(torch.ones_like(nll)).masked_fill_(held_out, 0.0)
             self._track_held_out(nll, _quantile(change, target), held_out)
-        return (weight * nll).sum() / (~held_out).sum().clamp(min=1)
+        return (weight * nll).sum() / num_trained
 
     def negative_log_likelihood(self, transition: Transition) -> Float[Tensor, "members batch"]:
         """Negative log-likelihood of the whitened change under each member, in nats."""
-        return _negative_log_likelihood(*self._change_and_target(transition))
+        observation, action, _, next_observation, *_ = transition
+        return _negative_log_likelihood(
+            *self._change_and_target(observation, action, next_observation)
+        )
 
     def observe(self, transition: Transition) -> None:
         """Update the statistics that whiten observations and changes."""
@@ -164,12 +180,11 @@ class DynamicsEnsemble(nn.Module):
             shape.unflatten(-1, (self.outcomes, -1))[..., :observation_dim] = start
 
     def _change_and_target(
-        self, transition: Transition
-    ) -> tuple[Prediction, Float[Tensor, "batch observation_dim"]]:
+        self, observation: Tensor, action: Tensor, next_observation: Tensor
+    ) -> tuple[Prediction, Float[Tensor, "*#members batch observation_dim"]]:
         """Predicted and true change, both whitened."""
-        change = transition.next_observation - transition.observation
-        prediction = self._whitened_change(transition.observation, transition.action)
-        return prediction, self.change_moments.normalize(change)
+        prediction = self._whitened_change(observation, action)
+        return prediction, self.change_moments.normalize(next_observation - observation)
 
     def _whitened_change(self, observation: Tensor, action: Tensor) -> Prediction:
         features = torch.cat([self.observation_moments.normalize(observation), action], dim=-1)
@@ -183,18 +198,33 @@ class DynamicsEnsemble(nn.Module):
 
     def _track_held_out(self, nll: Tensor, quantile: Tensor, held_out: Tensor) -> None:
         """Fold the held-out rows of a batch into running averages; no row changes nothing."""
-        weight = held_out.to(nll.dtype) / held_out.sum()
+        weight = held_out.expand_as(nll).to(nll.dtype)
+        weight = weight / weight.sum()
         inside = ((quantile > 0.05) & (quantile < 0.95)).to(nll.dtype).mean(-1)
         for average, value in ((self.held_out_nll, nll), (self.held_out_coverage, inside)):
-            latest = (value.mean(0) * weight).sum()
+            latest = (value * weight).sum()
             blended = torch.where(
                 average.isnan(), latest, average.lerp(latest, 1 - HELD_OUT_DECAY)
             )
             average.copy_(torch.where(blended.isnan(), average, blended))
 
 
+def rows_in_turn(
+    num_rows: int, members: int, device: torch.device
+) -> tuple[Int[Tensor, "members turns"], Bool[Tensor, "members turns"]]:
+    """Share rows out among members: row `r` is for member `r % members`.
+
+    Returns:
+        The rows of each member, the last ones repeating the first where the division leaves a
+        rest, and whether each entry is no such repetition.
+    """
+    turns = torch.arange(-(-num_rows // members), device=device)
+    row = torch.arange(members, device=device).unsqueeze(1) + members * turns
+    return row % num_rows, row < num_rows
+
+
 def _negative_log_likelihood(
-    prediction: Prediction, target: Float[Tensor, "batch dim"]
+    prediction: Prediction, target: Float[Tensor, "*#members batch dim"]
 ) -> Float[Tensor, "members batch"]:
     log_prob = gaussian_log_prob(
         target.unsqueeze(-2), prediction.loc, 0.5 * prediction.log_var
@@ -203,7 +233,7 @@ def _negative_log_likelihood(
 
 
 def _quantile(
-    prediction: Prediction, target: Float[Tensor, "batch dim"]
+    prediction: Prediction, target: Float[Tensor, "*#members batch dim"]
 ) -> Float[Tensor, "members batch dim"]:
     """Probability of a value below the target, in each coordinate: uniform where calibrated."""
     standard = (target.unsqueeze(-2) - prediction.loc) * torch.exp(-0.5 * prediction.log_var)

@@ -71,6 +71,8 @@ def log_softmax_of_rest(
     logits: Float[Tensor, "*batch others"],
 ) -> Float[Tensor, "*batch others+1"]:
     """Log weights of alternatives of which the first has logit zero: one alone needs no logit."""
+    if logits.shape[-1] == 0:
+        return logits.new_zeros(*logits.shape[:-1], 1)
     return torch.log_softmax(pad(logits, (1, 0)), dim=-1)
 
 

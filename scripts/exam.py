@@ -31,7 +31,6 @@ CURIOUS = Settings(
     policy_modes=2,
     outcomes=2,
     members=2,
-    model_interval=1,
     member_per_row=False,
     hidden_dim=64,
     temperature=0.03,

@@ -43,7 +43,7 @@ STUDIES = {
         SPARSE,
         {
             "curiosity, eager": {"compile": "off"},
-            "curiosity, nothing spared": {"model_interval": 1, "member_per_row": False},
+            "curiosity, nothing spared": {"member_per_row": False},
         },
         seeds=5,
     ),

@@ -5,7 +5,7 @@ import torch
 from torch.distributions import Normal
 
 from deep_curiosity import dynamics
-from deep_curiosity.dynamics import DynamicsEnsemble, is_held_out, soft_clamp
+from deep_curiosity.dynamics import DynamicsEnsemble, is_held_out, rows_in_turn, soft_clamp
 from deep_curiosity.transitions import Transition
 
 
@@ -378,3 +378,39 @@ def test_a_calibrated_mixture_covers_ninety_percent(gamblers):
 def test_outcomes_begin_apart():
     loc = small_ensemble(outcomes=3)(torch.zeros(4, 3), torch.zeros(4, 2)).loc
     assert (loc[:, :, 0] - loc[:, :, 2]).abs().mean() > 1
+
+
+@pytest.mark.parametrize("num_rows", [1, 2, 6, 7])
+def test_rows_in_turn_are_each_for_one_member(num_rows):
+    row, once = rows_in_turn(num_rows, 3, torch.device("cpu"))
+    assert sorted(row[once].tolist()) == list(range(num_rows))
+    assert all((row[member, once[member]] % 3 == member).all() for member in range(3))
+
+
+def test_with_a_member_per_row_each_member_learns_from_its_own_rows(monkeypatch):
+    monkeypatch.setattr(dynamics, "is_held_out", lambda rows: torch.arange(len(rows)) == 4)
+    ensemble, batch = small_ensemble(member_per_row=True), random_transition(8)
+    usual = gradients(ensemble, batch)
+    changed = batch.next_observation.clone()
+    changed[[1, 4]] += 3  # a row of the second member's, and one that is held out
+    differs = (gradients(ensemble, batch._replace(next_observation=changed)) != usual).any(1)
+    assert differs.tolist() == [False, True, False]
+
+
+def test_with_a_member_per_row_the_loss_is_right_on_average(monkeypatch):
+    monkeypatch.setattr(dynamics, "is_held_out", lambda rows: torch.zeros(len(rows)) > 0)
+    ensemble, batch = small_ensemble(member_per_row=True), random_transition(300)
+    with torch.no_grad():
+        plain = ensemble.negative_log_likelihood(batch).mean(1).sum()
+        order = (torch.randperm(300) for _ in range(100))
+        shuffled = [ensemble.loss(Transition(*(field[o] for field in batch))) for o in order]
+    assert torch.stack(shuffled).mean().item() == pytest.approx(plain.item(), rel=0.01)
+
+
+def test_with_a_member_per_row_held_out_rows_are_measured(monkeypatch):
+    monkeypatch.setattr(dynamics, "is_held_out", lambda rows: torch.arange(len(rows)) % 4 == 0)
+    ensemble, batch = small_ensemble(member_per_row=True), random_transition(12)
+    ensemble.loss(batch)
+    nll = ensemble.negative_log_likelihood(batch)
+    expected = torch.stack([nll[row % 3, row] for row in (0, 4, 8)]).mean()
+    torch.testing.assert_close(ensemble.metrics()["model_held_out_nll"], expected)

@@ -46,13 +46,9 @@ class Learner:
             seed=settings.seed,
             device=settings.device,
         )
-        self._num_updates = 0
-        self._model_loss = torch.zeros(())
-        self._fit, self._improve = self._fit_models, self.agent.update
+        self._learn = self._learn_eagerly
         if should_compile(settings):
-            fall_back = settings.compile == "auto"
-            self._fit = compiled(self._fit_models, fall_back=fall_back)
-            self._improve = compiled(self.agent.update, fall_back=fall_back)
+            self._learn = compiled(self._learn_eagerly, fall_back=settings.compile == "auto")
 
     def act(self, observation: np.ndarray, *, explore_uniformly: bool = False) -> np.ndarray:
         """Draw actions in [-1, 1] from the policy, or from the whole action box.
@@ -79,24 +75,22 @@ class Learner:
             self.replay.add(*step)
 
     def update(self) -> dict[str, Tensor]:
-        """One gradient step on every part of the agent, and in turn one on the bonus's models."""
+        """One gradient step on the bonus's models and on every part of the agent."""
         transition = self.replay.sample(self.settings.batch_size)
+        if self.bonus is not None:
+            self.bonus.observe(transition, self.agent.act)
+        return self._learn(transition)
+
+    def _learn_eagerly(self, transition: Transition) -> dict[str, Tensor]:
+        """The part of an update that can be one graph; returns what to log."""
         metrics = {}
         if self.bonus is not None:
-            if self._num_updates % self.settings.model_interval == 0:
-                self._model_loss = self._fit(transition)
-            self.bonus.observe(transition, self.agent.act)
-            metrics = {"curiosity/model_loss": self._model_loss}
-        self._num_updates += 1
-        agent_metrics = self._improve(transition, self.bonus)
+            loss = self.bonus.loss(transition)
+            if self.bonus_optimizer is not None:
+                self.bonus_optimizer.step(loss)
+            metrics["curiosity/model_loss"] = loss.detach()
+        agent_metrics = self.agent.update(transition, self.bonus)
         return metrics | {f"agent/{name}": value for name, value in agent_metrics.items()}
-
-    def _fit_models(self, transition: Transition) -> Tensor:
-        assert self.bonus is not None
-        loss = self.bonus.loss(transition)
-        if self.bonus_optimizer is not None:
-            self.bonus_optimizer.step(loss)
-        return loss.detach()
 
     def diagnostics(self) -> dict[str, Tensor]:
         """What agent and bonus say of themselves; costs a few milliseconds."""
@@ -112,8 +106,6 @@ class Learner:
             "bonus": self.bonus.state_dict() if self.bonus is not None else {},
             "bonus_optimizer": self.bonus_optimizer.state_dict() if self.bonus_optimizer else {},
             "replay": self.replay.state_dict(),
-            "num_updates": self._num_updates,
-            "model_loss": self._model_loss,
             "random": torch.get_rng_state(),
         }
 
@@ -125,8 +117,6 @@ class Learner:
         if self.bonus_optimizer is not None:
             self.bonus_optimizer.load_state_dict(state["bonus_optimizer"])
         self.replay.load_state_dict(state["replay"])
-        self._num_updates = state["num_updates"]
-        self._model_loss = state["model_loss"]
         torch.set_rng_state(state["random"])
 
 

@@ -72,8 +72,6 @@ class Settings:
     """Gaussians that make up a prediction; a next state that is one of two needs two."""
     model_learning_rate: float = 1e-3
     """Of Adam, for the models."""
-    model_interval: int = 4
-    """Updates from one training step of the models to the next."""
     noise_floor: float = 0.05
     """Resolution at which the agent sees, in standard deviations of the observation."""
     components: int = 256
@@ -83,7 +81,7 @@ class Settings:
     refresh_interval: int = 10
     """Updates from one refresh of the marginal to the next."""
     member_per_row: bool = True
-    """Ask one model for the bonus of each transition, in turn, instead of all of them."""
+    """Let each transition train one model, and ask one for its bonus, in turn, instead of all."""
 
     learning_starts: int = 500
     """Steps of uniformly random actions before the first update."""
