@@ -33,10 +33,10 @@ CURIOUS = replace(PLAIN, bonus="curiosity", prior="learned")
 OURS = {
     "plain": PLAIN,
     "curious": CURIOUS,
-    "curious, nothing spared": replace(CURIOUS, model_interval=1, member_per_row=False),
+    "curious, nothing spared": replace(CURIOUS, member_per_row=False),
 }
 BONUS_CALLS = 50  # in a turn: a tenth of a second
-UPDATES = 20  # in a turn: a multiple of the intervals of models and marginal
+UPDATES = 20  # in a turn: a multiple of the interval at which the marginal is renewed
 WORLD_STEPS = 2_000  # in a turn, of all worlds
 
 

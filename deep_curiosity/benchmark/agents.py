@@ -5,7 +5,6 @@ from typing import Any
 
 from deep_curiosity.benchmark.contenders import Contender, Worker
 from deep_curiosity.benchmark.operations import update_operations
-from deep_curiosity.benchmark.ours import PARTS
 from deep_curiosity.training.settings import Settings
 
 Row = dict[str, Any]
@@ -70,15 +69,10 @@ def measure_turn(worker: Worker, settings: Settings | None, steps: int) -> Row:
     parts: dict[str, float] = worker.ask("seconds").value
     rate: float = worker.ask("matrix_rate").value
     operations = sum(update_operations(settings, OBSERVATION_DIM, ACTION_DIM).values())
-    milliseconds = {
-        f"{part}_ms": 1e3 * parts.get(part, 0.0) / steps for part in (*PARTS, "update")
+    milliseconds = {f"{part}_ms": 1e3 * total / steps for part, total in parts.items()}
+    floor = {
+        "gigaflop": operations / 1e9,
+        "gigaflop_per_second": rate / 1e9,
+        "floor_ms": 1e3 * operations / rate,
     }
-    return (
-        row
-        | milliseconds
-        | {
-            "gigaflop": operations / 1e9,
-            "gigaflop_per_second": rate / 1e9,
-            "floor_ms": 1e3 * operations / rate,
-        }
-    )
+    return row | milliseconds | floor

@@ -49,7 +49,7 @@ def measure_growth(
         settings: Of the agent.
         growth: Values of each size; `observation_dim`, or a setting.
         repeats: Turns of each.
-        updates: In a turn; a multiple of the intervals at which models and marginal are renewed.
+        updates: In a turn; a multiple of the interval at which the marginal is renewed.
     """
     learners = {
         (size, value): _learner(settings, size, value)

@@ -38,7 +38,7 @@ def climb(rows: int, widths: Sequence[int], inputs: int) -> int:
 def update_operations(
     settings: Settings, observation_dim: int, action_dim: int
 ) -> dict[str, float]:
-    """Operations of one update, by part, as a mean over updates where a part is thinned out.
+    """Operations of one update, by part, as a mean over updates where it is not done at each.
 
     Raises:
         ValueError: If `curiosity_discount` is 0, where the actor climbs the bonus itself.
@@ -60,17 +60,14 @@ def update_operations(
 
     model = [observation_dim + action_dim, *hidden, outcomes * (2 * observation_dim + 1) - 1]
     members, components = settings.members, settings.components
+    in_turn = math.ceil(batch / members)  # rows of each member, where a row has one
+    rows = in_turn if settings.member_per_row else batch
 
-    def divergence(rows: int) -> int:
-        """Predictions of every member, and their expected log density under every component."""
-        return members * (
-            forward(rows, model) + forward(rows * outcomes, [2 * observation_dim, components])
-        )
-
-    refresh = forward(batch, policy) + members * forward(batch, model) + divergence(batch)
-    asked = math.ceil(batch / members) if settings.member_per_row else batch  # rows, of each
+    densities = members * forward(rows * outcomes, [2 * observation_dim, components])
+    bonus = members * forward(rows, model) + densities
+    refresh = forward(batch, policy) + members * forward(in_turn, model) + bonus
     return {
-        "agent": agent + divergence(asked),
-        "models": members * fit(batch, model) / settings.model_interval,
+        "agent": agent + bonus,
+        "models": float(members * fit(rows, model)),
         "statistics": refresh / settings.refresh_interval,
     }

@@ -11,12 +11,17 @@ import torch
 from deep_curiosity.training.collection import Collector, EnvironmentSteps
 from deep_curiosity.training.environments import action_dim, make_environment, observation_dim
 from deep_curiosity.training.learner import Learner
-from deep_curiosity.training.machine import MatmulPrecision, matmul_rate, prepare_machine
+from deep_curiosity.training.machine import (
+    MatmulPrecision,
+    matmul_rate,
+    prepare_machine,
+    should_compile,
+)
 from deep_curiosity.training.settings import Settings
 
 NUM_RANDOM_STEPS = 1_000  # taken once, and repeated until replay is as full as it is to be
-PARTS = ("acting", "environment", "storing", "sampling", "models", "statistics", "agent")
-"""Of a step with its update, in the order in which they come."""
+PARTS = ("acting", "environment", "storing", "sampling", "statistics", "learning")
+"""Of a step with its update, in the order in which they come; the last three are the update."""
 
 
 class Stopwatch:
@@ -58,9 +63,10 @@ class OurAgent:
         watch(self.collector, "step", "environment")
         watch(learner, "store", "storing")
         watch(learner.replay, "sample", "sampling")
-        watch(learner, "_fit", "models")
-        watch(learner, "_improve", "agent")
+        watch(learner, "_learn", "learning")
         watch(learner, "update", "update")
+        if not should_compile(settings):  # a graph cannot be looked into
+            watch(learner.agent, "update", "agent")
         if learner.bonus is not None:
             watch(learner.bonus, "observe", "statistics")
 

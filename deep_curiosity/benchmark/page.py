@@ -59,17 +59,18 @@ HalfCheetah-v5, batch 256, two layers of 256, one update for every environment s
 transitions in replay. Every contender has a process of its own, and only one computes at a time.
 Stable-Baselines3's SAC (SB3) is taken as its users run it, with torch's own precision of matrix
 products, and with the precision that ours runs with. "Curious" is the default with the learned
-prior; "nothing spared" trains its models at every update and asks all of them for every bonus. The
-first update is counted from the start of the process, imports and cold compilation included;
-memory is the largest resident memory of the process. A million transitions of replay take
-{replay_megabytes():.0f} MB.
+prior; "nothing spared" trains all its models on every transition, where the default trains one,
+and asks all of them for every bonus. The first update is counted from the start of the process,
+imports and cold compilation included; memory is the largest resident memory of the process. A
+million transitions of replay take {replay_megabytes():.0f} MB.
 
 ![Environment steps per second](agents.png)
 
 {rates_table(rows, processes)}
 
-Milliseconds of each part of a step and its update (medians). By default models and marginal are
-not renewed at every update; what is shown are means over updates.
+Milliseconds of each part of a step and its update (medians). The update is sampling, statistics and
+learning. Statistics include the marginal, which is not renewed at every update: a mean. Learning is
+one graph where it is compiled, and can be told apart by models and agent only where it is not.
 
 {parts_table(rows)}
 
@@ -106,11 +107,16 @@ def rates_table(rows: Sequence[Row], processes: dict[str, Row]) -> str:
 
 def parts_table(rows: Sequence[Row]) -> str:
     """Medians of the parts of a step."""
-    lines = [
-        [str(name), *(f"{median(own, f'{part}_ms'):.3f}" for part in (*PARTS, "update"))]
-        for (name,), own in grouped(_ours(rows), "contender").items()
-    ]
-    return markdown_table(["agent", *PARTS, "whole update"], lines)
+    columns = [*PARTS, "models", "agent", "update"]
+    lines = []
+    for (name,), own in grouped(_ours(rows), "contender").items():
+        if own[0]["agent_ms"] != "":
+            own = [row | {"models_ms": row["learning_ms"] - row["agent_ms"]} for row in own]
+        known = [column for column in columns if own[0].get(f"{column}_ms", "") != ""]
+        medians = {column: f"{median(own, f'{column}_ms'):.3f}" for column in known}
+        lines.append([str(name), *(medians.get(column, "") for column in columns)])
+    header = ["agent", *PARTS, "of it models", "of it agent", "whole update"]
+    return markdown_table(header, lines)
 
 
 def floor_table(rows: Sequence[Row]) -> str:

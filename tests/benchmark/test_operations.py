@@ -14,7 +14,6 @@ SMALL = Settings(
     batch_size=10,
     members=2,
     components=5,
-    model_interval=2,
     refresh_interval=10,
     member_per_row=False,
 )
@@ -45,22 +44,22 @@ def test_operations_of_the_curious_agent():
     operations = update_operations(SMALL, 3, 2)
     critics = 20 * 4 * 40 + 4 * 20 * (40 + 40 + 20) + 4 * 20 * (40 + 28)
     policy = 20 * 44 + 20 * (44 + 44 + 32)
-    divergence = 2 * (20 * 60 + 20 * 6 * 5)
-    assert operations["agent"] == critics + policy + divergence
-    assert operations["models"] == 2 * 20 * (60 + 60 + 40) / 2
-    assert operations["statistics"] == (20 * 44 + 2 * 20 * 60 + divergence) / 10
+    bonus = 2 * (20 * 60 + 20 * 6 * 5)
+    assert operations["agent"] == critics + policy + bonus
+    assert operations["models"] == 2 * 20 * (60 + 60 + 40)
+    assert operations["statistics"] == (20 * 44 + 20 * 60 + bonus) / 10
 
 
-def test_a_member_for_each_row_asks_the_ensemble_once():
-    asked = update_operations(replace(SMALL, member_per_row=True), 3, 2)["agent"]
-    by_all = update_operations(SMALL, 3, 2)["agent"]
-    assert by_all - asked == 20 * 60 + 20 * 6 * 5
+def test_a_member_for_each_row_costs_as_one_member():
+    shared = update_operations(replace(SMALL, member_per_row=True), 3, 2)
+    all_members = update_operations(SMALL, 3, 2)
+    assert all_members["agent"] - shared["agent"] == 20 * 60 + 20 * 6 * 5
+    assert shared["models"] == all_members["models"] / 2
 
 
-@pytest.mark.parametrize("bonus", ["none", "curiosity"])
-def test_torch_counts_as_many_operations(bonus):
-    settings = Settings(bonus=bonus, batch_size=64, model_interval=1, compile="off")
-    settings = replace(settings, refresh_interval=1)
+@pytest.mark.parametrize("changes", [{"bonus": "none"}, {}, {"member_per_row": False}], ids=str)
+def test_torch_counts_as_many_operations(changes):
+    settings = Settings(batch_size=64, refresh_interval=1, compile="off", **changes)
     learner = Learner(settings, 17, 6)
     learner.store(random_steps(100, 17))
     learner.update()
