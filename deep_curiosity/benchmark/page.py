@@ -68,9 +68,9 @@ million transitions of replay take {replay_megabytes():.0f} MB.
 
 {rates_table(rows, processes)}
 
-Milliseconds of each part of a step and its update (medians). The update is sampling, statistics and
-learning. Statistics include the marginal, which is not renewed at every update: a mean. Learning is
-one graph where it is compiled, and can be told apart by models and agent only where it is not.
+Milliseconds of each part of a step and its update (medians). The update is sampling, statistics
+and learning. Statistics include the marginal, which is not renewed at every update: a mean.
+Learning is one graph where compiled; models and agent can be told apart only where it is not.
 
 {parts_table(rows)}
 
