@@ -2,8 +2,9 @@
 
 from collections.abc import Sequence
 
+import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Float32
 from torch import Tensor, nn
 
 from deep_curiosity.distributions import SquashedMixture
@@ -51,6 +52,42 @@ class GaussianPolicy(nn.Module):
         low, high = LOG_STD_RANGE
         log_std = low + 0.5 * (high - low) * (torch.tanh(raw_log_std) + 1)
         return SquashedMixture(loc, log_std, log_softmax_of_rest(logits).mT)
+
+
+class Reflex:
+    """A policy of one Gaussian on NumPy views of its weights, for one observation at a time.
+
+    Between two updates torch's small products find cold caches: this answers in a quarter of the
+    time. The views follow every update made in place.
+
+    Args:
+        policy: On the CPU, of one mode.
+
+    Raises:
+        ValueError: If the policy has several modes.
+    """
+
+    def __init__(self, policy: GaussianPolicy) -> None:
+        if policy.modes != 1:
+            raise ValueError(f"`policy` must have one mode, got {policy.modes}.")
+        self._layers = [
+            tuple(parameter.detach()[0].numpy() for parameter in layer.parameters())
+            for layer in policy.network.layers
+        ]
+
+    def act(
+        self, observation: Float32[np.ndarray, " observation_dim"], noise: np.ndarray
+    ) -> Float32[np.ndarray, " action_dim"]:
+        """Action in [-1, 1] for standard normal `noise`, one number for each action dimension."""
+        value = observation
+        for weight, bias in self._layers[:-1]:
+            value = np.maximum(value @ weight + bias[0], 0)
+        weight, bias = self._layers[-1]
+        loc, raw_log_std = np.split(value @ weight + bias[0], 2)
+        low, high = LOG_STD_RANGE
+        log_std = low + 0.5 * (high - low) * (np.tanh(raw_log_std) + 1)
+        action: np.ndarray = np.tanh(loc + np.exp(log_std) * noise)
+        return action
 
 
 class Critics(nn.Module):

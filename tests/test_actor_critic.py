@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from deep_curiosity.actor_critic import LOG_STD_RANGE, Critics, GaussianPolicy
+from deep_curiosity.actor_critic import LOG_STD_RANGE, Critics, GaussianPolicy, Reflex
 
 
 def test_policy_has_one_gaussian_for_each_observation():
@@ -70,3 +70,19 @@ def test_values_see_observation_and_action():
     action = torch.randn(5, 2, requires_grad=True)
     critics(observation, action).sum().backward()
     assert observation.grad.abs().sum() > 0 and action.grad.abs().sum() > 0
+
+
+def test_a_reflex_acts_as_its_policy_does_and_follows_it():
+    policy = GaussianPolicy(3, 2, hidden_dims=(8, 8))
+    reflex, observation, noise = Reflex(policy), torch.randn(1, 3), torch.randn(1, 1, 2)
+    for _ in range(2):
+        expected = torch.tanh(policy(observation).pre_actions(noise))
+        action = reflex.act(observation[0].numpy(), noise[0, 0].numpy())
+        torch.testing.assert_close(torch.from_numpy(action), expected[0, 0].detach())
+        with torch.no_grad():
+            policy.network.layers[-1].bias.add_(1)
+
+
+def test_a_reflex_has_one_mode():
+    with pytest.raises(ValueError, match="`policy` must have one mode, got 2"):
+        Reflex(GaussianPolicy(3, 2, modes=2))

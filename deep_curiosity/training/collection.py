@@ -10,6 +10,8 @@ import torch
 from gymnasium.vector import AutoresetMode, VectorEnv
 from torch import Tensor
 
+from deep_curiosity_envs.clock import clock_stopped
+
 
 class Episode(NamedTuple):
     """What is left of an episode once it is over, or how it stands so far."""
@@ -73,7 +75,10 @@ class Collector:
 
     def step(self, action: np.ndarray) -> tuple[EnvironmentStep, list[Episode]]:
         """Step the environment; return the step, and the episode if this step ended it."""
-        next_observation, reward, terminated, truncated, self.info = self.environment.step(action)
+        with clock_stopped():
+            next_observation, reward, terminated, truncated, self.info = self.environment.step(
+                action
+            )
         step = EnvironmentStep(
             self.observation, action, float(reward), next_observation, terminated, truncated
         )

@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from deep_curiosity.actor_critic import Reflex
 from deep_curiosity.agent import CuriousActorCritic
 from deep_curiosity.baselines import ConstantBonus
 from deep_curiosity.bonus import Bonus
@@ -46,6 +47,8 @@ class Learner:
             seed=settings.seed,
             device=settings.device,
         )
+        quick = settings.policy_modes == 1 and self.agent.log_temperature.device.type == "cpu"
+        self._reflex = Reflex(self.agent.policy) if quick else None
         self._learn = self._learn_eagerly
         if should_compile(settings):
             self._learn = compiled(self._learn_eagerly, fall_back=settings.compile == "auto")
@@ -60,6 +63,9 @@ class Learner:
         shape = (*observation.shape[:-1], self.agent.action_dim)
         if explore_uniformly:
             return (2 * torch.rand(shape) - 1).numpy()
+        if self._reflex is not None and observation.ndim == 1:
+            noise = torch.randn(self.agent.action_dim).numpy()
+            return self._reflex.act(observation.astype(np.float32), noise)
         batch = as_batch(observation).to(self.settings.device)
         return self.agent.act(batch).reshape(shape).cpu().numpy()
 
