@@ -58,7 +58,8 @@ class CuriosityBonus(Bonus):
         components: Number of next states that make up the marginal.
         bandwidth: Width of the marginal's kernels, see `NextStateMarginal`.
         target_perplexity: Read only by `bandwidth="perplexity"`.
-        refresh_interval: Calls of `observe` from one refresh of the marginal to the next.
+        refresh_interval: Calls of `observe` from one renewal of statistics and marginal to the
+            next; the calls between do nothing.
         member_per_row: Ask one member for each pair, in turn, instead of the mean of them all, and
             let each transition train one: an unbiased estimate for as many times less as there
             are members. A pair's bonus then depends on its place in the batch.
@@ -163,7 +164,7 @@ class CuriosityBonus(Bonus):
 
     @torch.no_grad()
     def observe(self, transition: Transition, policy: Policy | None = None) -> None:
-        """Update statistics, and at every `refresh_interval`-th call the marginal.
+        """Update statistics and marginal, at every `refresh_interval`-th call.
 
         Args:
             transition: A batch from replay, or the newest rollout.
@@ -175,15 +176,13 @@ class CuriosityBonus(Bonus):
             ValueError: If a field has the wrong shape or holds NaN or infinity. The statistics
                 are then as before.
         """
-        self._check_transition(transition)
-        refreshing = self._num_observed % self.refresh_interval == 0
-        if refreshing and policy is not None:
-            fresh = transition._replace(action=policy(transition.observation))
-            self._check_transition(fresh)
-        else:
+        if self._num_observed % self.refresh_interval == 0:
+            self._check_transition(transition)
             fresh = transition
-        self.dynamics.observe(transition)
-        if refreshing:
+            if policy is not None:
+                fresh = transition._replace(action=policy(transition.observation))
+                self._check_transition(fresh)
+            self.dynamics.observe(transition)
             self._refresh(transition, fresh.action)
         self._num_observed += 1
         self.num_observed.fill_(self._num_observed)

@@ -283,11 +283,13 @@ def test_marginal_is_refreshed_at_every_interval_only():
     assert refreshed == [True, False, False, True, False, False, True, False]
 
 
-def test_whitening_is_updated_at_every_call():
-    bonus = small_bonus(refresh_interval=100)
-    for _ in range(3):
+def test_whitening_is_renewed_with_the_marginal():
+    bonus = small_bonus(refresh_interval=2)
+    counts = []
+    for _ in range(5):
         bonus.observe(random_transition(32))
-    assert bonus.dynamics.observation_moments.count == 96
+        counts.append(bonus.dynamics.observation_moments.count.item())
+    assert counts == [32, 32, 64, 64, 96]
 
 
 def test_the_marginal_follows_the_policy():

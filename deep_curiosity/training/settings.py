@@ -79,7 +79,7 @@ class Settings:
     bandwidth: float | Literal["silverman", "perplexity"] = "silverman"
     """Width of the marginal's kernels."""
     refresh_interval: int = 10
-    """Updates from one refresh of the marginal to the next."""
+    """Updates from one renewal of the marginal and of the statistics that whiten to the next."""
     member_per_row: bool = True
     """Let each transition train one model, and ask one for its bonus, in turn, instead of all."""
 
