@@ -44,7 +44,7 @@ def load_checkpoint(folder: Path) -> dict[str, Any]:
         if not path.exists():
             continue
         try:
-            state: dict[str, Any] = torch.load(path, weights_only=True)
+            state: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
         except Exception as error:  # a truncated archive raises many kinds
             damage.append(f"{path} is damaged ({type(error).__name__})")
             continue
