@@ -76,7 +76,7 @@ def output_of(program):
     return run.stdout.splitlines()
 
 
-@pytest.mark.parametrize("curiosity_discount", [0.97, 0.0])
+@pytest.mark.parametrize("curiosity_discount", [0.97, pytest.param(0.0, marks=pytest.mark.slow)])
 def test_compiled_and_eager_updates_give_the_same_numbers(curiosity_discount):
     options = f"OPTIONS = {{'curiosity_discount': {curiosity_discount}}}\n"
     (error,) = output_of(options + LEARN_TWICE)
