@@ -1,6 +1,7 @@
 """The networks of the agent: one policy, and critics stacked into one call."""
 
 from collections.abc import Sequence
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -9,7 +10,9 @@ from torch import Tensor, nn
 
 from deep_curiosity.distributions import SquashedMixture
 from deep_curiosity.networks import StackedMLP, log_softmax_of_rest
+from deep_curiosity.transitions import check_counts
 
+Value = TypeVar("Value", Tensor, np.ndarray)
 LOG_STD_RANGE = (-5.0, 2.0)  # below -5 the tanh density is sharper than float32 resolves
 
 
@@ -36,8 +39,7 @@ class GaussianPolicy(nn.Module):
         hidden_dims: Sequence[int] = (256, 256),
     ) -> None:
         super().__init__()
-        if modes < 1:
-            raise ValueError(f"`modes` must be at least 1, got {modes}.")
+        check_counts(modes=modes)
         self.modes = modes
         self.action_dim = action_dim
         self.network = StackedMLP(
@@ -49,8 +51,7 @@ class GaussianPolicy(nn.Module):
         features = self.network(observation)[0]
         shape, logits = features.tensor_split([2 * self.modes * self.action_dim], dim=-1)
         loc, raw_log_std = shape.unflatten(-1, (self.modes, -1)).transpose(0, 1).chunk(2, dim=-1)
-        low, high = LOG_STD_RANGE
-        log_std = low + 0.5 * (high - low) * (torch.tanh(raw_log_std) + 1)
+        log_std = _in_log_std_range(torch.tanh(raw_log_std))
         return SquashedMixture(loc, log_std, log_softmax_of_rest(logits).mT)
 
 
@@ -84,10 +85,15 @@ class Reflex:
             value = np.maximum(value @ weight + bias[0], 0)
         weight, bias = self._layers[-1]
         loc, raw_log_std = np.split(value @ weight + bias[0], 2)
-        low, high = LOG_STD_RANGE
-        log_std = low + 0.5 * (high - low) * (np.tanh(raw_log_std) + 1)
+        log_std = _in_log_std_range(np.tanh(raw_log_std))
         action: np.ndarray = np.tanh(loc + np.exp(log_std) * noise)
         return action
+
+
+def _in_log_std_range(squashed: Value) -> Value:
+    """Stretch [-1, 1] to the range of the log standard deviation."""
+    low, high = LOG_STD_RANGE
+    return low + 0.5 * (high - low) * (squashed + 1)
 
 
 class Critics(nn.Module):

@@ -12,7 +12,7 @@ from torch.nn.functional import softplus
 from deep_curiosity.distributions import gaussian_log_prob
 from deep_curiosity.networks import StackedMLP, log_softmax_of_rest
 from deep_curiosity.normalization import RunningMoments
-from deep_curiosity.transitions import Transition
+from deep_curiosity.transitions import Transition, check_counts
 
 LOG_VAR_RANGE = (-9.0, 2.0)  # of the whitened change: sharper is float noise, wider is ignorance
 HELD_OUT_SHARE = 20  # one transition in twenty is never trained on
@@ -77,14 +77,7 @@ class DynamicsEnsemble(nn.Module):
             raise ValueError(
                 f"`members` must be at least 2 to measure disagreement, got {members}."
             )
-        counts = {
-            "observation_dim": observation_dim,
-            "action_dim": action_dim,
-            "outcomes": outcomes,
-        }
-        for name, count in counts.items():
-            if count < 1:
-                raise ValueError(f"`{name}` must be at least 1, got {count}.")
+        check_counts(observation_dim=observation_dim, action_dim=action_dim, outcomes=outcomes)
         if not 0 < noise_floor < math.inf:
             raise ValueError(f"`noise_floor` must be positive and finite, got {noise_floor}.")
         self.members = members

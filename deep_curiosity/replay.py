@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from deep_curiosity.transitions import Transition
+from deep_curiosity.transitions import Transition, check_counts
 
 if TYPE_CHECKING:
     from torchrl.data import ReplayBuffer as TorchRLReplayBuffer
@@ -42,14 +42,7 @@ class ReplayBuffer:
         seed: int = 0,
         device: str | torch.device = "cpu",
     ) -> None:
-        sizes = {
-            "capacity": capacity,
-            "observation_dim": observation_dim,
-            "action_dim": action_dim,
-        }
-        for name, size in sizes.items():
-            if size < 1:
-                raise ValueError(f"`{name}` must be at least 1, got {size}.")
+        check_counts(capacity=capacity, observation_dim=observation_dim, action_dim=action_dim)
         self.capacity = capacity
         self.observation_dim = observation_dim
         self.action_dim = action_dim
@@ -122,8 +115,7 @@ class ReplayBuffer:
         Raises:
             ValueError: If the buffer is empty or `batch_size` is below 1.
         """
-        if batch_size < 1:
-            raise ValueError(f"`batch_size` must be at least 1, got {batch_size}.")
+        check_counts(batch_size=batch_size)
         if len(self) == 0:
             raise ValueError("the replay must hold a transition before it is sampled, got 0.")
         index = torch.randint(len(self), (batch_size,), generator=self._generator)

@@ -52,6 +52,17 @@ def check_scalars(name: str, value: Tensor, dtype: torch.dtype) -> None:
         raise ValueError(f"`{name}` must have shape (batch,), got {tuple(value.shape)}.")
 
 
+def check_counts(**counts: int) -> None:
+    """Reject counts and sizes below 1.
+
+    Raises:
+        ValueError: Naming the first one and its value.
+    """
+    for name, count in counts.items():
+        if count < 1:
+            raise ValueError(f"`{name}` must be at least 1, got {count}.")
+
+
 def check_finite(name: str, value: Tensor) -> None:
     """Reject NaN and infinity, naming the first row that has one.
 

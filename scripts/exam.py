@@ -16,11 +16,10 @@ from matplotlib.figure import Figure
 
 from deep_curiosity.tabular.solvers import solve_stationary
 from deep_curiosity.tabular.worlds import reliable_unreliable
-from deep_curiosity.training import Settings, train
+from deep_curiosity.training import Settings
 from deep_curiosity.training.environments import make_environment
 from deep_curiosity.training.playback import load_agent
-from deep_curiosity.training.records import SUMMARY
-from deep_curiosity.training.study import write_table
+from deep_curiosity.training.study import run_once, write_table
 
 NUM_DRAWS = 20_000  # actions drawn in each state to know the policy by
 EXTREME = 0.8  # in the agent's units of [-1, 1]: within 0.1 of an end of the paper's [0, 1]
@@ -95,8 +94,7 @@ def main(args: Args) -> None:
 
 def learned_actions(settings: Settings) -> np.ndarray:
     """Actions of a trained agent in states 0 and 1, two rows, in the paper's [0, 1]."""
-    if not (settings.out / SUMMARY).exists():
-        train(settings, show_progress=False)
+    run_once(settings)
     environment = make_environment(settings.env_id)
     agent = load_agent(settings.out, settings, environment)
     torch.manual_seed(settings.seed)
@@ -142,7 +140,7 @@ def summary_of(rows: list[dict[str, object]]) -> str:
 def spread(
     rows: list[dict[str, object]], question: str, column: str, states: list[int] | None = None
 ) -> str:
-    """Median over seeds and the range, of the worse state where both count."""
+    """Median over seeds and the range, in each of the states."""
     shown = []
     for state in states or [0, 1]:
         own = [

@@ -86,7 +86,7 @@ def run_study(
         for (task, agent, seed), folder in zip(cells, folders, strict=True)
     ]
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        summaries = list(pool.map(_run_once, jobs))
+        summaries = list(pool.map(run_once, jobs))
     rows, curves = [], []
     for (task, agent, seed), folder, summary in zip(cells, folders, summaries, strict=True):
         cell = {"task": task.name, "agent": agent, "seed": seed}
@@ -167,7 +167,7 @@ def _draw_agent(
     axes.fill_between(steps, returns.min(1), returns.max(1), color=color, alpha=0.15)
 
 
-def _run_once(settings: Settings) -> dict[str, Any]:
+def run_once(settings: Settings) -> dict[str, Any]:
     """Summary of a run: read where it is finished, continued or begun where it is not."""
     path = settings.out / SUMMARY
     if path.exists():
