@@ -257,21 +257,15 @@ class CuriosityBonus(Bonus):
         }
 
     def _predict(self, observation: Tensor, action: Tensor) -> Prediction:
-        self._check_pairs(observation, action)
-        self._check_observed()
+        self._check_question(observation, action)
         with frozen(self.dynamics):
             return self.dynamics(observation, action)
-
-    def _check_observed(self) -> None:
-        if self.marginal.is_empty:
-            raise RuntimeError("`observe` must see a batch before the bonus can be computed.")
 
     def _estimate(self, observation: Tensor, action: Tensor) -> Float[Tensor, " batch"]:
         """Raw divergence in nats, of all members or of one for each pair."""
         if not self.member_per_row:
             return self.nats(observation, action)
-        self._check_pairs(observation, action)
-        self._check_observed()
+        self._check_question(observation, action)
         with frozen(self.dynamics):
             return self._upper(self._predict_in_turn(observation, action)).squeeze(0)
 
@@ -296,9 +290,11 @@ class CuriosityBonus(Bonus):
             *prediction
         )
 
-    def _check_pairs(self, observation: Tensor, action: Tensor) -> None:
+    def _check_question(self, observation: Tensor, action: Tensor) -> None:
         check_batch("observation", observation, self.observation_dim, self.moments.mean.dtype)
         check_batch("action", action, self.action_dim, self.moments.mean.dtype)
+        if self.marginal.is_empty:
+            raise RuntimeError("`observe` must see a batch before the bonus can be computed.")
 
     def _check_transition(self, transition: Transition) -> None:
         dtype = self.moments.mean.dtype
