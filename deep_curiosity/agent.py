@@ -259,7 +259,8 @@ class CuriousActorCritic(nn.Module):
             next_value[0] -= self.log_temperature.exp() * information_cost
         rewards = [transition.reward]
         if bonus is not None and self._has_curiosity_critic:
-            rewards.append(bonus(transition.observation, transition.action))
+            observation, action, _, next_observation, *_ = transition
+            rewards.append(bonus(observation, action, next_observation))
         return critic_target(
             torch.stack(rewards), transition.terminated, next_value, self.discounts
         )

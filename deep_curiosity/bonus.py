@@ -2,6 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from typing import ClassVar
 
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -22,13 +23,20 @@ class Bonus(nn.Module, ABC):
         optimizer.step()                               # 3
         bonus.observe(transition, policy)              # 4
         reward = transition.reward + bonus(transition.observation, transition.action)  # 5
+
+    A bonus that scores what has happened, and not what a model expects to happen, must be given
+    `transition.next_observation` as well; any other leaves it aside.
     """
+
+    scores_outcomes: ClassVar[bool] = False
+    """Whether `next_observation` must be given. Such a bonus has no gradient in the action."""
 
     @abstractmethod
     def forward(
         self,
         observation: Float[Tensor, "batch observation_dim"],
         action: Float[Tensor, "batch action_dim"],
+        next_observation: Float[Tensor, "batch observation_dim"] | None = None,
     ) -> Float[Tensor, " batch"]:
         """Bonus of each pair, differentiable in the action; changes no state."""
 

@@ -18,10 +18,14 @@ from deep_curiosity.divergences import (
 from deep_curiosity.dynamics import DynamicsEnsemble, Prediction, rows_in_turn
 from deep_curiosity.marginal import NextStateMarginal
 from deep_curiosity.networks import frozen
-from deep_curiosity.normalization import RunningMoments
-from deep_curiosity.transitions import Transition, check_batch, check_transition
+from deep_curiosity.normalization import Standardization
+from deep_curiosity.transitions import (
+    Transition,
+    check_batch,
+    check_counts,
+    check_transition,
+)
 
-STATISTICS_MEMORY = 50_000.0  # rows; D drifts as the model learns, so old ones fade
 NUM_PROBES = 64  # pairs kept from the last refresh, on which the metrics are computed
 NUM_SAMPLES = 16  # draws from each member's prediction when the bonus is taken apart
 
@@ -94,15 +98,9 @@ class CuriosityBonus(Bonus):
         member_per_row: bool = False,
     ) -> None:
         super().__init__()
-        if not (math.isfinite(weight) and weight >= 0):
-            raise ValueError(f"`weight` must be finite and not negative, got {weight}.")
-        if refresh_interval < 1:
-            raise ValueError(f"`refresh_interval` must be at least 1, got {refresh_interval}.")
+        check_counts(refresh_interval=refresh_interval)
         self.observation_dim = observation_dim
         self.action_dim = action_dim
-        self.weight = weight
-        self.center = center
-        self.scale = scale
         self.refresh_interval = refresh_interval
         self.member_per_row = member_per_row
         self.dynamics = DynamicsEnsemble(
@@ -120,7 +118,7 @@ class CuriosityBonus(Bonus):
             bandwidth=bandwidth,
             target_perplexity=target_perplexity,
         )
-        self.moments = RunningMoments(1, memory=STATISTICS_MEMORY)
+        self.standardization = Standardization(weight=weight, center=center, scale=scale)
         self.register_buffer("probe_observation", torch.zeros(NUM_PROBES, observation_dim))
         self.register_buffer("probe_action", torch.zeros(NUM_PROBES, action_dim))
         self.register_buffer("num_observed", torch.zeros((), dtype=torch.long))
@@ -131,18 +129,14 @@ class CuriosityBonus(Bonus):
         self,
         observation: Float[Tensor, "batch observation_dim"],
         action: Float[Tensor, "batch action_dim"],
+        next_observation: Float[Tensor, "batch observation_dim"] | None = None,
     ) -> Float[Tensor, " batch"]:
         """Weighted, standardised bonus of each pair, differentiable in both; models stay fixed.
 
         Raises:
             RuntimeError: If nothing has been observed yet.
         """
-        value = self._estimate(observation, action)
-        if self.center:
-            value = value - self.moments.mean
-        if self.scale:
-            value = value / self.moments.scale
-        return self.weight * value
+        return self.standardization(self._estimate(observation, action))
 
     def nats(
         self,
@@ -247,7 +241,7 @@ class CuriosityBonus(Bonus):
         upper, lower = self._upper(prediction), self._lower(prediction)
         return metrics | {
             "nats": upper.mean(),
-            "nats_std": self.moments.scale[0],
+            "nats_std": self.standardization.moments.scale[0],
             "predictive_power": parts.predictive_power.mean(),
             "information_gain": parts.information_gain.mean(),
             "conditional_entropy": _entropy(prediction).mean(),
@@ -291,14 +285,17 @@ class CuriosityBonus(Bonus):
         )
 
     def _check_question(self, observation: Tensor, action: Tensor) -> None:
-        check_batch("observation", observation, self.observation_dim, self.moments.mean.dtype)
-        check_batch("action", action, self.action_dim, self.moments.mean.dtype)
+        check_batch("observation", observation, self.observation_dim, self._dtype)
+        check_batch("action", action, self.action_dim, self._dtype)
         if self.marginal.is_empty:
             raise RuntimeError("`observe` must see a batch before the bonus can be computed.")
 
     def _check_transition(self, transition: Transition) -> None:
-        dtype = self.moments.mean.dtype
-        check_transition(transition, self.observation_dim, self.action_dim, dtype)
+        check_transition(transition, self.observation_dim, self.action_dim, self._dtype)
+
+    @property
+    def _dtype(self) -> torch.dtype:
+        return self.probe_observation.dtype
 
     def _refresh(self, transition: Transition, fresh_action: Tensor) -> None:
         """Renew the marginal's components, the standardisation and the probes."""
@@ -308,7 +305,7 @@ class CuriosityBonus(Bonus):
         outcome = torch.multinomial(log_weight.exp(), 1).squeeze(-1)
         self.marginal.refresh(loc[rows, outcome], log_var[rows, outcome])
         nats = self._estimate(observation, transition.action)
-        self.moments.update(nats.unsqueeze(-1))
+        self.standardization.update(nats)
         probes = torch.arange(NUM_PROBES, device=observation.device) % observation.shape[0]
         self.probe_observation.copy_(observation[probes])
         self.probe_action.copy_(transition.action[probes])

@@ -8,8 +8,8 @@ from torch.distributions import Independent, Normal, TransformedDistribution
 from torch.distributions.transforms import TanhTransform
 
 from deep_curiosity.agent import CuriousActorCritic
-from deep_curiosity.baselines import ConstantBonus
 from deep_curiosity.bonus import Bonus
+from deep_curiosity.rivals import ConstantBonus
 from deep_curiosity.transitions import Transition
 
 TEMPERATURE, DISCOUNT = 0.3, 0.9
@@ -23,7 +23,7 @@ class PushingBonus(Bonus):
         super().__init__()
         self.register_buffer("slope", torch.tensor(slope))
 
-    def forward(self, observation, action):
+    def forward(self, observation, action, next_observation=None):
         return self.slope * action[:, 0]
 
     def loss(self, transition):
@@ -633,7 +633,7 @@ def test_a_policy_of_two_modes_keeps_two_ways_apart():
     class Either(PushingBonus):
         """Pays for an action far from the middle, on either side."""
 
-        def forward(self, observation, action):
+        def forward(self, observation, action, next_observation=None):
             return self.slope * action[:, 0].abs()
 
     agent = small_agent(

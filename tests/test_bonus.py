@@ -3,9 +3,11 @@
 import pytest
 import torch
 
-from deep_curiosity.baselines import ConstantBonus
 from deep_curiosity.bonus import Bonus
+from deep_curiosity.bonuses import BONUSES as BY_NAME
+from deep_curiosity.bonuses import make_bonus
 from deep_curiosity.curiosity import CuriosityBonus
+from deep_curiosity.rivals import ConstantBonus
 from deep_curiosity.transitions import Transition
 
 OPTIONS = {"members": 2, "hidden_dims": (8,), "components": 16, "refresh_interval": 2}
@@ -14,7 +16,18 @@ BONUSES = {
     "curiosity in nats": lambda: CuriosityBonus(3, 2, center=False, scale=False, **OPTIONS),
     "curiosity, tuned": lambda: CuriosityBonus(3, 2, bandwidth="perplexity", **OPTIONS),
     "constant": lambda: ConstantBonus(0.5),
+    "disagreement": lambda: make_bonus("disagreement", 3, 2, members=2, hidden_dims=(8,)),
+    "information-gain": lambda: make_bonus("information-gain", 3, 2, members=2, hidden_dims=(8,)),
+    "rnd": lambda: make_bonus("rnd", 3, 2, features=8, hidden_dims=(8,)),
+    "icm": lambda: make_bonus("icm", 3, 2, feature_dim=4, hidden_dims=(8,)),
+    "prediction error": lambda: make_bonus("icm", 3, 2, features="state", hidden_dims=(8,)),
+    "nearest-neighbours": lambda: make_bonus("nearest-neighbours", 3, 2, memory=64, neighbours=3),
+    "hash-count": lambda: make_bonus("hash-count", 3, 2, bits=8),
 }
+
+
+def test_laws_hold_for_every_bonus_by_name():
+    assert set(BY_NAME) <= set(BONUSES)
 
 
 def random_transition(batch=16):
@@ -46,7 +59,7 @@ def bonus(make):
 
 
 def ask(bonus, batch):
-    return bonus(batch.observation, batch.action)
+    return bonus(batch.observation, batch.action, batch.next_observation)
 
 
 def test_it_is_a_bonus(bonus):
@@ -67,7 +80,7 @@ def test_the_same_question_has_the_same_answer(bonus):
 def test_a_pair_earns_the_same_in_any_company(bonus):
     batch = random_transition()
     alone = torch.cat(
-        [bonus(batch.observation[i : i + 1], batch.action[i : i + 1]) for i in range(16)]
+        [ask(bonus, Transition(*(field[i : i + 1] for field in batch))) for i in range(16)]
     )
     torch.testing.assert_close(ask(bonus, batch), alone, atol=1e-4, rtol=1e-4)
 
@@ -89,7 +102,7 @@ def test_asking_changes_no_state_and_leaves_no_gradient(bonus):
     before = {name: value.clone() for name, value in bonus.state_dict().items()}
     batch = random_transition()
     action = batch.action.clone().requires_grad_()
-    value = bonus(batch.observation, action)
+    value = ask(bonus, batch._replace(action=action))
     (value.sum() + 0 * action.sum()).backward()
     bonus.metrics()
     after = bonus.state_dict()
@@ -101,7 +114,8 @@ def test_loss_is_a_scalar_with_a_gradient_for_every_parameter(bonus):
     loss = bonus.loss(random_transition(256))
     assert loss.shape == () and loss.isfinite() and loss.requires_grad
     loss.backward()
-    assert all(parameter.grad.abs().sum() > 0 for parameter in bonus.parameters())
+    learned = [parameter for parameter in bonus.parameters() if parameter.requires_grad]
+    assert all(parameter.grad.abs().sum() > 0 for parameter in learned)
 
 
 def test_metrics_are_flat_detached_scalars(bonus):
@@ -144,3 +158,40 @@ def test_double_precision_goes_all_the_way(make):
     assert bonus.loss(batch).dtype == torch.float64
     bonus.observe(batch)
     assert ask(bonus, batch).dtype == torch.float64
+
+
+def test_outcomes_are_asked_for_by_name_or_left_aside(bonus):
+    batch = random_transition()
+    if bonus.scores_outcomes:
+        with pytest.raises(ValueError, match="`next_observation` must be given"):
+            bonus(batch.observation, batch.action)
+    else:
+        assert bonus(batch.observation, batch.action).equal(ask(bonus, batch))
+
+
+def test_bonuses_of_predictions_have_a_gradient_in_the_action(make):
+    bonus = make()
+    if bonus.scores_outcomes or isinstance(bonus, ConstantBonus):
+        pytest.skip("what has happened cannot be changed, and a constant does not change")
+    for _ in range(3):
+        bonus.observe(random_transition())
+    action = torch.rand(16, 2).requires_grad_()
+    bonus(torch.randn(16, 3), action).sum().backward()
+    assert action.grad.abs().sum() > 0
+
+
+@pytest.mark.parametrize("field", ["observation", "action", "next_observation"])
+def test_what_is_not_finite_is_rejected_and_changes_nothing(bonus, field):
+    if isinstance(bonus, ConstantBonus):
+        pytest.skip("it looks at nothing")
+    before = {name: value.clone() for name, value in bonus.state_dict().items()}
+    broken = random_transition()
+    getattr(broken, field)[3, 0] = float("nan")
+    for method in (bonus.loss, bonus.observe):
+        if method == bonus.observe and getattr(bonus, "refresh_interval", 1) > 1:
+            bonus.observe(random_transition())  # so that the next call looks at its batch
+            before = {name: value.clone() for name, value in bonus.state_dict().items()}
+        with pytest.raises(ValueError, match=f"`{field}` must be finite"):
+            method(broken)
+    after = bonus.state_dict()
+    assert all(after[name].nan_to_num().equal(before[name].nan_to_num()) for name in before)

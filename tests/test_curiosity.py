@@ -42,7 +42,7 @@ class FixedDynamics(nn.Module):
         self.slopes, self.log_std = torch.tensor(slopes), math.log(std)
         self.members = len(slopes)
 
-    def forward(self, observation, action):
+    def forward(self, observation, action, next_observation=None):
         loc = (self.slopes.view(-1, 1, 1) * action).unsqueeze(-2)
         return Prediction(loc, torch.full_like(loc, 2 * self.log_std), torch.zeros(loc.shape[:-1]))
 
@@ -493,7 +493,7 @@ class Coin(nn.Module):
 
     noise_floor, members = 0.05, 2
 
-    def forward(self, observation, action):
+    def forward(self, observation, action, next_observation=None):
         heads = 0.5 * (1 + action.squeeze(-1)).expand(2, -1)
         loc = torch.tensor([0.0, 1.0]).view(2, 1).expand(*heads.shape, 2, 1)
         log_weight = torch.stack([1 - heads, heads], -1).clamp(min=1e-6).log()

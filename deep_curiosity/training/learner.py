@@ -8,12 +8,12 @@ from torch import Tensor
 
 from deep_curiosity.actor_critic import Reflex
 from deep_curiosity.agent import CuriousActorCritic
-from deep_curiosity.baselines import ConstantBonus
 from deep_curiosity.bonus import Bonus
 from deep_curiosity.compilation import compiled
 from deep_curiosity.curiosity import CuriosityBonus
 from deep_curiosity.optimization import Adam
 from deep_curiosity.replay import ReplayBuffer
+from deep_curiosity.rivals import ConstantBonus
 from deep_curiosity.training.collection import EnvironmentStep, EnvironmentSteps, as_batch
 from deep_curiosity.training.machine import should_compile
 from deep_curiosity.training.settings import Settings

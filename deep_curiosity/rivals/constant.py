@@ -1,4 +1,4 @@
-"""Rival and control bonuses behind the one interface."""
+"""The control: a bonus without information."""
 
 import torch
 from jaxtyping import Float
@@ -25,6 +25,7 @@ class ConstantBonus(Bonus):
         self,
         observation: Float[Tensor, "batch observation_dim"],
         action: Float[Tensor, "batch action_dim"],
+        next_observation: Float[Tensor, "batch observation_dim"] | None = None,
     ) -> Float[Tensor, " batch"]:
         """The value, whatever the pair."""
         return self.value.expand(observation.shape[0])

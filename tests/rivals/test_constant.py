@@ -1,6 +1,6 @@
 import torch
 
-from deep_curiosity.baselines import ConstantBonus
+from deep_curiosity.rivals import ConstantBonus
 from deep_curiosity.transitions import Transition
 
 

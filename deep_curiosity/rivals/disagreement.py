@@ -1,0 +1,228 @@
+"""Bonuses of models that disagree: their variance, and the information that it promises."""
+
+import math
+from collections.abc import Sequence
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from deep_curiosity.bonus import Policy
+from deep_curiosity.networks import StackedMLP, frozen
+from deep_curiosity.normalization import RunningMoments
+from deep_curiosity.rivals.foundation import RivalBonus
+from deep_curiosity.transitions import Transition
+
+PAST_DECAY = 0.995  # of the remembered gain: that of the authors' target networks
+
+
+class PointEnsemble(nn.Module):
+    """Models that each predict one whitened outcome, a point and no density.
+
+    Args:
+        in_features: Length of what they are told.
+        out_features: Length of what they predict.
+        members: Number of models, at least 2.
+        hidden_dims: Width of every hidden layer.
+
+    Raises:
+        ValueError: If `members` is below 2.
+    """
+
+    def __init__(
+        self, in_features: int, out_features: int, *, members: int, hidden_dims: Sequence[int]
+    ) -> None:
+        super().__init__()
+        if members < 2:
+            raise ValueError(
+                f"`members` must be at least 2 to measure disagreement, got {members}."
+            )
+        self.network = StackedMLP(members, in_features, hidden_dims, out_features)
+        self.outcome_moments = RunningMoments(out_features)
+
+    def variance(
+        self, features: Float[Tensor, "batch in_features"]
+    ) -> Float[Tensor, "batch out_features"]:
+        """Variance over members of each whitened prediction; gradients pass to the features."""
+        with frozen(self):
+            return self.network(features).var(0, correction=0)
+
+    def loss(
+        self,
+        features: Float[Tensor, "batch in_features"],
+        outcome: Float[Tensor, "batch out_features"],
+    ) -> Float[Tensor, ""]:
+        """Squared error of whitened outcomes, averaged over the batch, summed over members."""
+        error = self.network(features) - self.outcome_moments.normalize(outcome)
+        return error.square().mean((1, 2)).sum()
+
+
+class DisagreementBonus(RivalBonus):
+    r"""Variance of an ensemble's predictions of the next state.
+
+    .. math:: \frac{1}{d} \sum_i Var_e[\hat x'_{e,i}(x, a)]
+
+    Args:
+        observation_dim: Length of an observation.
+        action_dim: Length of an action; actions lie in [-1, 1].
+        weight: Factor of the bonus.
+        center: Subtract the running mean.
+        scale: Divide by the running standard deviation.
+        members: Number of models, at least 2.
+        hidden_dims: Width of every hidden layer.
+
+    Reference: Pathak et al., "Self-Supervised Exploration via Disagreement" (2019),
+    https://arxiv.org/abs/1906.04161; equation (1). Changes of state take the place of its image
+    features.
+    """
+
+    def __init__(
+        self,
+        observation_dim: int,
+        action_dim: int,
+        *,
+        weight: float = 1.0,
+        center: bool = False,
+        scale: bool = False,
+        members: int = 5,
+        hidden_dims: Sequence[int] = (256, 256),
+    ) -> None:
+        super().__init__(observation_dim, action_dim, weight=weight, center=center, scale=scale)
+        self.ensemble = PointEnsemble(
+            observation_dim + action_dim,
+            observation_dim,
+            members=members,
+            hidden_dims=hidden_dims,
+        )
+
+    def score(
+        self, observation: Tensor, action: Tensor, next_observation: Tensor | None
+    ) -> Tensor:
+        """Mean variance of the predictions, in whitened units squared."""
+        return self.ensemble.variance(self._features(observation, action)).mean(-1)
+
+    def fit(self, transition: Transition) -> Tensor:
+        """Squared error of the predictions."""
+        features = self._features(transition.observation, transition.action)
+        return self.ensemble.loss(features, _change(transition))
+
+    def remember(self, transition: Transition, policy: Policy | None) -> None:
+        """Statistics of the changes."""
+        self.ensemble.outcome_moments.update(_change(transition))
+
+    def _features(self, observation: Tensor, action: Tensor) -> Tensor:
+        return torch.cat([self.observation_moments.normalize(observation), action], dim=-1)
+
+
+class InformationGainBonus(RivalBonus):
+    r"""Upper bound of what an outcome would tell of the model, in nats a dimension.
+
+    .. math:: \frac{1}{d + 1} \sum_i \log(1 + Var_e[\hat y_{e,i}(x, a)] / \sigma^2)
+
+    where the outcome `y` is the change of state and the reward. Its weight is tuned: it rises
+    while the policy of now gains less than the policies of the recent past did, and falls while it
+    gains more. The authors compare with a slowly moving copy of the policy; here a slowly moving
+    average of the gain stands for it, so that any policy will do.
+
+    Args:
+        observation_dim: Length of an observation.
+        action_dim: Length of an action; actions lie in [-1, 1].
+        weight: Factor of the bonus, the initial one where it is tuned.
+        center: Subtract the running mean.
+        scale: Divide by the running standard deviation.
+        members: Number of models, at least 2.
+        hidden_dims: Width of every hidden layer.
+        noise_std: Standard deviation of the outcome's noise, in whitened units.
+        tune_weight: Adjust the weight in `observe`, where it is given a policy.
+        weight_learning_rate: Step size of the log weight.
+
+    Raises:
+        ValueError: If a number is out of range.
+
+    Reference: Sukhija et al., "MaxInfoRL: Boosting exploration in reinforcement learning through
+    information gain maximization" (2024), https://arxiv.org/abs/2412.12098.
+    """
+
+    log_factor: Tensor
+    past_gain: Tensor
+
+    def __init__(
+        self,
+        observation_dim: int,
+        action_dim: int,
+        *,
+        weight: float = 1.0,
+        center: bool = True,
+        scale: bool = True,
+        members: int = 5,
+        hidden_dims: Sequence[int] = (256, 256),
+        noise_std: float = 1e-3,
+        tune_weight: bool = True,
+        weight_learning_rate: float = 3e-4,
+    ) -> None:
+        super().__init__(observation_dim, action_dim, weight=weight, center=center, scale=scale)
+        for name, number in (
+            ("noise_std", noise_std),
+            ("weight_learning_rate", weight_learning_rate),
+        ):
+            if not 0 < number < math.inf:
+                raise ValueError(f"`{name}` must be positive and finite, got {number}.")
+        self.noise_std = noise_std
+        self.tune_weight = tune_weight
+        self.weight_learning_rate = weight_learning_rate
+        self.ensemble = PointEnsemble(
+            observation_dim + action_dim,
+            observation_dim + 1,
+            members=members,
+            hidden_dims=hidden_dims,
+        )
+        self.register_buffer("log_factor", torch.zeros(()))
+        self.register_buffer("past_gain", torch.tensor(math.nan))
+
+    def forward(
+        self,
+        observation: Float[Tensor, "batch observation_dim"],
+        action: Float[Tensor, "batch action_dim"],
+        next_observation: Float[Tensor, "batch observation_dim"] | None = None,
+    ) -> Float[Tensor, " batch"]:
+        """Weighted, standardised gain of each pair, differentiable in both."""
+        return self.log_factor.exp() * super().forward(observation, action, next_observation)
+
+    def score(
+        self, observation: Tensor, action: Tensor, next_observation: Tensor | None
+    ) -> Tensor:
+        """Information gain of each pair, in nats a dimension."""
+        variance = self.ensemble.variance(self._features(observation, action))
+        return torch.log1p(variance / self.noise_std**2).mean(-1)
+
+    def fit(self, transition: Transition) -> Tensor:
+        """Squared error of the predictions."""
+        features = self._features(transition.observation, transition.action)
+        return self.ensemble.loss(features, _change_and_reward(transition))
+
+    def remember(self, transition: Transition, policy: Policy | None) -> None:
+        """Statistics of the outcomes; and the step of the weight, where a policy is given."""
+        self.ensemble.outcome_moments.update(_change_and_reward(transition))
+        if policy is None or not self.tune_weight:
+            return
+        action = policy(transition.observation)
+        gain = self.standardization(self.score(transition.observation, action, None)).mean()
+        past = torch.where(self.past_gain.isnan(), gain, self.past_gain)
+        self.log_factor.sub_(self.weight_learning_rate * (gain - past))
+        self.past_gain.copy_(torch.lerp(gain, past, PAST_DECAY))
+
+    def metrics(self) -> dict[str, Tensor]:
+        """Statistics of the gain, in nats a dimension, and the weight as it now stands."""
+        weight = self.standardization.weight * self.log_factor.exp()
+        return super().metrics() | {"weight": weight}
+
+    def _features(self, observation: Tensor, action: Tensor) -> Tensor:
+        return torch.cat([self.observation_moments.normalize(observation), action], dim=-1)
+
+
+def _change(transition: Transition) -> Float[Tensor, "batch observation_dim"]:
+    return transition.next_observation - transition.observation
+
+
+def _change_and_reward(transition: Transition) -> Float[Tensor, "batch outcome_dim"]:
+    return torch.cat([_change(transition), transition.reward.unsqueeze(-1)], dim=-1)
