@@ -48,7 +48,17 @@ class GaussianPolicy(nn.Module):
 
     def forward(self, observation: Float[Tensor, "batch observation_dim"]) -> SquashedMixture:
         """Distribution over actions at each observation."""
-        features = self.network(observation)[0]
+        return self.at(self.hidden(observation))
+
+    def hidden(
+        self, observation: Float[Tensor, "batch observation_dim"]
+    ) -> Float[Tensor, "batch hidden_dim"]:
+        """Activations of the last hidden layer."""
+        return self.network.hidden(observation)[0]
+
+    def at(self, hidden: Float[Tensor, "batch hidden_dim"]) -> SquashedMixture:
+        """Distribution over actions where the last hidden layer has these activations."""
+        features = self.network.layers[-1](hidden.unsqueeze(0))[0]
         shape, logits = features.tensor_split([2 * self.modes * self.action_dim], dim=-1)
         loc, raw_log_std = shape.unflatten(-1, (self.modes, -1)).transpose(0, 1).chunk(2, dim=-1)
         log_std = _in_log_std_range(torch.tanh(raw_log_std))

@@ -1,7 +1,6 @@
 """All bonuses by name, and the small learner that a bonus needs beside an agent."""
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import torch
@@ -11,6 +10,7 @@ from torch import Tensor, nn
 from deep_curiosity.bonus import Bonus, Policy
 from deep_curiosity.curiosity import CuriosityBonus
 from deep_curiosity.optimization import Adam
+from deep_curiosity.pace import Pace
 from deep_curiosity.rivals import (
     DisagreementBonus,
     DistillationBonus,
@@ -21,7 +21,7 @@ from deep_curiosity.rivals import (
 )
 from deep_curiosity.transitions import Transition, check_counts
 
-BONUSES: dict[str, Callable[..., Bonus]] = {
+BONUSES: dict[str, type[Bonus]] = {
     "curiosity": CuriosityBonus,
     "disagreement": DisagreementBonus,
     "information-gain": InformationGainBonus,
@@ -70,13 +70,11 @@ class BonusLearner(nn.Module):
         super().__init__()
         if not 0 < learning_rate < math.inf:
             raise ValueError(f"`learning_rate` must be positive and finite, got {learning_rate}.")
-        check_counts(update_interval=update_interval)
         self.bonus = bonus
-        self.update_interval = update_interval
+        check_counts(update_interval=update_interval)
+        self.pace = Pace(update_interval)
         parameters = [part for part in bonus.parameters() if part.requires_grad]
         self.optimizer = Adam(parameters, learning_rate) if parameters else None
-        self.register_buffer("num_calls", torch.zeros((), dtype=torch.long))
-        self.num_calls: Tensor
 
     def learn(self, transition: Transition, policy: Policy | None = None) -> None:
         """Show the bonus a batch, and at every `update_interval`-th call take a gradient step.
@@ -86,9 +84,9 @@ class BonusLearner(nn.Module):
             policy: Draws fresh actions at the batch's observations.
         """
         self.bonus.observe(transition, policy)
-        if self.num_calls % self.update_interval == 0:
+        if self.pace.is_due:
             self.fit(transition)
-        self.num_calls += 1
+        self.pace.count()
 
     def fit(self, transition: Transition) -> Float[Tensor, ""]:
         """Take a gradient step on the networks of the bonus; return the loss before it."""

@@ -19,6 +19,7 @@ from deep_curiosity.dynamics import DynamicsEnsemble, Prediction, rows_in_turn
 from deep_curiosity.marginal import NextStateMarginal
 from deep_curiosity.networks import frozen
 from deep_curiosity.normalization import Standardization
+from deep_curiosity.pace import Pace
 from deep_curiosity.transitions import (
     Transition,
     check_batch,
@@ -77,7 +78,6 @@ class CuriosityBonus(Bonus):
 
     probe_observation: Tensor
     probe_action: Tensor
-    num_observed: Tensor
 
     def __init__(
         self,
@@ -101,7 +101,6 @@ class CuriosityBonus(Bonus):
         check_counts(refresh_interval=refresh_interval)
         self.observation_dim = observation_dim
         self.action_dim = action_dim
-        self.refresh_interval = refresh_interval
         self.member_per_row = member_per_row
         self.dynamics = DynamicsEnsemble(
             observation_dim,
@@ -119,11 +118,9 @@ class CuriosityBonus(Bonus):
             target_perplexity=target_perplexity,
         )
         self.standardization = Standardization(weight=weight, center=center, scale=scale)
+        self.pace = Pace(refresh_interval)
         self.register_buffer("probe_observation", torch.zeros(NUM_PROBES, observation_dim))
         self.register_buffer("probe_action", torch.zeros(NUM_PROBES, action_dim))
-        self.register_buffer("num_observed", torch.zeros((), dtype=torch.long))
-        self._num_observed = 0  # the same as a plain number: to read it waits for no device
-        self.register_load_state_dict_post_hook(_recount)
 
     def forward(
         self,
@@ -170,7 +167,7 @@ class CuriosityBonus(Bonus):
             ValueError: If a field has the wrong shape or holds NaN or infinity. The statistics
                 are then as before.
         """
-        if self._num_observed % self.refresh_interval == 0:
+        if self.pace.is_due:
             self._check_transition(transition)
             fresh = transition
             if policy is not None:
@@ -178,8 +175,7 @@ class CuriosityBonus(Bonus):
                 self._check_transition(fresh)
             self.dynamics.observe(transition)
             self._refresh(transition, fresh.action)
-        self._num_observed += 1
-        self.num_observed.fill_(self._num_observed)
+        self.pace.count()
 
     def decompose(
         self,
@@ -314,10 +310,6 @@ class CuriosityBonus(Bonus):
         """Mean share of the predicted variance that is the floor: at 1 the model is sharper."""
         share = torch.exp(2 * math.log(self.dynamics.noise_floor) - prediction.log_var).mean(-1)
         return prediction.mean(share).mean()
-
-
-def _recount(bonus: CuriosityBonus, _: object) -> None:
-    bonus._num_observed = int(bonus.num_observed)
 
 
 def _entropy(prediction: Prediction) -> Float[Tensor, "members batch"]:

@@ -60,11 +60,18 @@ class StackedMLP(nn.Module):
         value: Float[Tensor, "batch in_features"] | Float[Tensor, "members batch in_features"],
     ) -> Float[Tensor, "members batch out_features"]:
         """Apply every member to one shared batch, or each member to its own."""
+        return self.layers[-1](self.hidden(value))
+
+    def hidden(
+        self,
+        value: Float[Tensor, "batch in_features"] | Float[Tensor, "members batch in_features"],
+    ) -> Float[Tensor, "members batch hidden_dim"]:
+        """What the last layer is told: the activations before it."""
         if value.ndim == 2:
             value = value.expand(self.members, -1, -1)
         for layer in self.layers[:-1]:
             value = torch.relu(layer(value))
-        return self.layers[-1](value)
+        return value
 
 
 def log_softmax_of_rest(

@@ -19,6 +19,14 @@ class Study:
     seeds: int
 
 
+def halved(task: Task, total_steps: int) -> Task:
+    """The same task with an update at every second step only: many agents are to be compared."""
+    settings = replace(
+        task.settings, update_to_data=0.5, total_steps=total_steps, evaluation_interval=2_000
+    )
+    return replace(task, settings=settings)
+
+
 SMALL = Settings(total_steps=16_000, hidden_dim=64, log_interval=1_000, evaluation_interval=1_000)
 CURIOSITY = {"curiosity": {}}
 PLAIN = {"plain SAC": {"bonus": "none"}}
@@ -36,6 +44,23 @@ SPARSE = [
         solved_return=101.5,
     ),
 ]
+MOUNTAIN_CAR = Task(
+    "MountainCarContinuous-v0",
+    replace(SMALL, env_id="MountainCarContinuous-v0"),
+    solved_return=90.0,
+)
+# half of what an episode of 100 steps pays at most, one a step near the target
+REACHER = Task("ReacherSparse", replace(SMALL, env_id="ReacherSparse"), solved_return=50.0)
+# every bonus centred, scaled and weighed alike: what is compared is what they reward
+RIVALS = (
+    "disagreement",
+    "information-gain",
+    "rnd",
+    "icm",
+    "nearest-neighbours",
+    "hash-count",
+)
+UNDIRECTED = {"gSDE": "gsde", "pink noise": "pink", "Ornstein-Uhlenbeck": "ou"}
 STUDIES = {
     "sparse": Study(SPARSE, CURIOSITY | PLAIN, seeds=5),
     "control": Study(SPARSE, {"constant bonus": {"bonus": "constant"}}, seeds=1),
@@ -47,17 +72,17 @@ STUDIES = {
         },
         seeds=5,
     ),
-    "mountain_car": Study(
-        [
-            Task(
-                "MountainCarContinuous-v0",
-                replace(SMALL, env_id="MountainCarContinuous-v0"),
-                solved_return=90.0,
-            )
-        ],
-        CURIOSITY | PLAIN,
+    "bonuses": Study(
+        [halved(task, 16_000) for task in (*SPARSE, REACHER, MOUNTAIN_CAR)],
+        CURIOSITY | {name: {"bonus": name} for name in RIVALS} | PLAIN,
         seeds=5,
     ),
+    "undirected": Study(
+        [halved(task, 16_000) for task in (*SPARSE, REACHER, MOUNTAIN_CAR)],
+        {name: {"bonus": "none", "exploration": key} for name, key in UNDIRECTED.items()},
+        seeds=5,
+    ),
+    "mountain_car": Study([MOUNTAIN_CAR], CURIOSITY | PLAIN, seeds=5),
     "dense": Study(
         [
             Task(
@@ -81,9 +106,12 @@ STUDIES = {
 class Args:
     """What to study, and where."""
 
-    study: Literal["sparse", "control", "savings", "mountain_car", "dense"] = "sparse"
+    study: Literal[
+        "sparse", "control", "savings", "bonuses", "undirected", "mountain_car", "dense"
+    ] = "sparse"
     """PendulumSwingup and PointMaze; the same with a constant for a bonus; the same without
-    compiling, and without what the default spares; MountainCarContinuous-v0; HalfCheetah-v5."""
+    compiling, and without what the default spares; all bonuses on four tasks; noises of the
+    actions without a bonus on the same; MountainCarContinuous-v0; HalfCheetah-v5."""
     seeds: int | None = None
     """Seeds of each agent on each task; by default as many as the study is documented with."""
     runs: Path = Path("runs/study")

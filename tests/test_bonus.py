@@ -188,7 +188,7 @@ def test_what_is_not_finite_is_rejected_and_changes_nothing(bonus, field):
     broken = random_transition()
     getattr(broken, field)[3, 0] = float("nan")
     for method in (bonus.loss, bonus.observe):
-        if method == bonus.observe and getattr(bonus, "refresh_interval", 1) > 1:
+        if method == bonus.observe and bonus.pace.interval > 1:
             bonus.observe(random_transition())  # so that the next call looks at its batch
             before = {name: value.clone() for name, value in bonus.state_dict().items()}
         with pytest.raises(ValueError, match=f"`{field}` must be finite"):

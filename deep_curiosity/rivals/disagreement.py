@@ -68,6 +68,7 @@ class DisagreementBonus(RivalBonus):
         weight: Factor of the bonus.
         center: Subtract the running mean.
         scale: Divide by the running standard deviation.
+        refresh_interval: Calls of `observe` from one that looks at its batch to the next.
         members: Number of models, at least 2.
         hidden_dims: Width of every hidden layer.
 
@@ -84,10 +85,18 @@ class DisagreementBonus(RivalBonus):
         weight: float = 1.0,
         center: bool = False,
         scale: bool = False,
+        refresh_interval: int = 1,
         members: int = 5,
         hidden_dims: Sequence[int] = (256, 256),
     ) -> None:
-        super().__init__(observation_dim, action_dim, weight=weight, center=center, scale=scale)
+        super().__init__(
+            observation_dim,
+            action_dim,
+            weight=weight,
+            center=center,
+            scale=scale,
+            refresh_interval=refresh_interval,
+        )
         self.ensemble = PointEnsemble(
             observation_dim + action_dim,
             observation_dim,
@@ -130,6 +139,7 @@ class InformationGainBonus(RivalBonus):
         weight: Factor of the bonus, the initial one where it is tuned.
         center: Subtract the running mean.
         scale: Divide by the running standard deviation.
+        refresh_interval: Calls of `observe` from one that looks at its batch to the next.
         members: Number of models, at least 2.
         hidden_dims: Width of every hidden layer.
         noise_std: Standard deviation of the outcome's noise, in whitened units.
@@ -154,13 +164,21 @@ class InformationGainBonus(RivalBonus):
         weight: float = 1.0,
         center: bool = True,
         scale: bool = True,
+        refresh_interval: int = 1,
         members: int = 5,
         hidden_dims: Sequence[int] = (256, 256),
         noise_std: float = 1e-3,
         tune_weight: bool = True,
         weight_learning_rate: float = 3e-4,
     ) -> None:
-        super().__init__(observation_dim, action_dim, weight=weight, center=center, scale=scale)
+        super().__init__(
+            observation_dim,
+            action_dim,
+            weight=weight,
+            center=center,
+            scale=scale,
+            refresh_interval=refresh_interval,
+        )
         for name, number in (
             ("noise_std", noise_std),
             ("weight_learning_rate", weight_learning_rate),
@@ -208,8 +226,9 @@ class InformationGainBonus(RivalBonus):
         action = policy(transition.observation)
         gain = self.standardization(self.score(transition.observation, action, None)).mean()
         past = torch.where(self.past_gain.isnan(), gain, self.past_gain)
-        self.log_factor.sub_(self.weight_learning_rate * (gain - past))
-        self.past_gain.copy_(torch.lerp(gain, past, PAST_DECAY))
+        interval = self.pace.interval  # one look stands for so many
+        self.log_factor.sub_(interval * self.weight_learning_rate * (gain - past))
+        self.past_gain.copy_(torch.lerp(gain, past, PAST_DECAY**interval))
 
     def metrics(self) -> dict[str, Tensor]:
         """Statistics of the gain, in nats a dimension, and the weight as it now stands."""

@@ -23,6 +23,7 @@ class DistillationBonus(RivalBonus):
         weight: Factor of the bonus. The paper weighs it half as much as reward.
         center: Subtract the running mean.
         scale: Divide by the running standard deviation.
+        refresh_interval: Calls of `observe` from one that looks at its batch to the next.
         features: Length of the random network's output.
         hidden_dims: Width of every hidden layer of both networks.
 
@@ -44,10 +45,18 @@ class DistillationBonus(RivalBonus):
         weight: float = 0.5,
         center: bool = False,
         scale: bool = True,
+        refresh_interval: int = 1,
         features: int = 512,
         hidden_dims: Sequence[int] = (256, 256),
     ) -> None:
-        super().__init__(observation_dim, action_dim, weight=weight, center=center, scale=scale)
+        super().__init__(
+            observation_dim,
+            action_dim,
+            weight=weight,
+            center=center,
+            scale=scale,
+            refresh_interval=refresh_interval,
+        )
         check_counts(features=features)
         self.random = StackedMLP(1, observation_dim, hidden_dims, features).requires_grad_(False)
         self.predictor = StackedMLP(1, observation_dim, hidden_dims, features)

@@ -8,6 +8,7 @@ from torch import Tensor
 
 from deep_curiosity.bonus import Bonus, Policy
 from deep_curiosity.normalization import RunningMoments, Standardization
+from deep_curiosity.pace import Pace
 from deep_curiosity.transitions import Transition, check_batch, check_counts, check_transition
 
 
@@ -20,20 +21,33 @@ class RivalBonus(Bonus):
         weight: Factor of the standardised score.
         center: Subtract the score's running mean.
         scale: Divide by the score's running standard deviation.
+        refresh_interval: Calls of `observe` from one that looks at its batch to the next.
 
     Raises:
         ValueError: If a size or the weight is out of range.
     """
 
     def __init__(
-        self, observation_dim: int, action_dim: int, *, weight: float, center: bool, scale: bool
+        self,
+        observation_dim: int,
+        action_dim: int,
+        *,
+        weight: float,
+        center: bool,
+        scale: bool,
+        refresh_interval: int,
     ) -> None:
         super().__init__()
-        check_counts(observation_dim=observation_dim, action_dim=action_dim)
+        check_counts(
+            observation_dim=observation_dim,
+            action_dim=action_dim,
+            refresh_interval=refresh_interval,
+        )
         self.observation_dim = observation_dim
         self.action_dim = action_dim
         self.standardization = Standardization(weight=weight, center=center, scale=scale)
         self.observation_moments = RunningMoments(observation_dim)
+        self.pace = Pace(refresh_interval)
 
     def forward(
         self,
@@ -69,18 +83,20 @@ class RivalBonus(Bonus):
 
     @torch.no_grad()
     def observe(self, transition: Transition, policy: Policy | None = None) -> None:
-        """Update the statistics from a batch.
+        """Update the statistics from a batch, at every `refresh_interval`-th call.
 
         Raises:
             TypeError: If a field has the wrong kind.
             ValueError: If a field has the wrong shape or holds NaN or infinity. The statistics
                 are then as before.
         """
-        self._check(transition)
-        self.observation_moments.update(transition.observation)
-        self.remember(transition, policy)
-        observation, action, _, next_observation, *_ = transition
-        self.standardization.update(self.score(observation, action, next_observation))
+        if self.pace.is_due:
+            self._check(transition)
+            self.observation_moments.update(transition.observation)
+            self.remember(transition, policy)
+            observation, action, _, next_observation, *_ = transition
+            self.standardization.update(self.score(observation, action, next_observation))
+        self.pace.count()
 
     def metrics(self) -> dict[str, Tensor]:
         """Running mean and standard deviation of the score, in its own unit."""

@@ -28,6 +28,7 @@ class HashCountBonus(RivalBonus):
         weight: Factor of the bonus.
         center: Subtract the running mean.
         scale: Divide by the running standard deviation.
+        refresh_interval: Calls of `observe` from one that looks at its batch to the next.
         bits: Length of a code: more tell states apart more finely.
 
     Raises:
@@ -53,9 +54,17 @@ class HashCountBonus(RivalBonus):
         weight: float = 0.01,
         center: bool = False,
         scale: bool = False,
+        refresh_interval: int = 1,
         bits: int = 32,
     ) -> None:
-        super().__init__(observation_dim, action_dim, weight=weight, center=center, scale=scale)
+        super().__init__(
+            observation_dim,
+            action_dim,
+            weight=weight,
+            center=center,
+            scale=scale,
+            refresh_interval=refresh_interval,
+        )
         check_counts(bits=bits)
         if bits > 62:
             raise ValueError(f"`bits` must be at most 62 to fit an integer, got {bits}.")

@@ -22,6 +22,7 @@ class NearestNeighboursBonus(RivalBonus):
         weight: Factor of the bonus.
         center: Subtract the running mean.
         scale: Divide by the running standard deviation.
+        refresh_interval: Calls of `observe` from one that looks at its batch to the next.
         neighbours: Number of neighbours, k.
         memory: States remembered; the newest batches take the place of the oldest.
 
@@ -46,17 +47,25 @@ class NearestNeighboursBonus(RivalBonus):
         weight: float = 0.05,
         center: bool = False,
         scale: bool = True,
+        refresh_interval: int = 1,
         neighbours: int = 12,
-        memory: int = 4096,
+        memory: int = 2048,
     ) -> None:
-        super().__init__(observation_dim, action_dim, weight=weight, center=center, scale=scale)
+        super().__init__(
+            observation_dim,
+            action_dim,
+            weight=weight,
+            center=center,
+            scale=scale,
+            refresh_interval=refresh_interval,
+        )
         check_counts(neighbours=neighbours, memory=memory)
         if neighbours > memory:
             raise ValueError(
                 f"`neighbours` must be at most `memory` ({memory}), got {neighbours}."
             )
         self.neighbours = neighbours
-        self.register_buffer("states", torch.full((memory, observation_dim), torch.inf))
+        self.register_buffer("states", torch.zeros(memory, observation_dim))
         self.register_buffer("num_seen", torch.zeros((), dtype=torch.long))
 
     def score(
@@ -65,11 +74,12 @@ class NearestNeighboursBonus(RivalBonus):
         """Log of one more than the mean distance, in whitened units; 0 while all is new."""
         assert next_observation is not None
         scale = self.observation_moments.scale
+        filled = torch.arange(len(self.states), device=scale.device) < self.num_seen
         distance = torch.cdist(next_observation / scale, self.states / scale)
-        nearest = distance.topk(self.neighbours, largest=False).values
-        known = nearest.isfinite()
-        mean = nearest.masked_fill(~known, 0.0).sum(-1) / known.sum(-1).clamp(min=1)
-        return torch.log1p(mean)
+        nearest = distance.masked_fill(~filled, torch.inf).topk(self.neighbours, largest=False)
+        known = nearest.values.isfinite()
+        total = nearest.values.masked_fill(~known, 0.0).sum(-1)
+        return torch.log1p(total / known.sum(-1).clamp(min=1))
 
     def remember(self, transition: Transition, policy: Policy | None) -> None:
         """Write the batch's next states over the oldest."""

@@ -27,6 +27,7 @@ class PredictionErrorBonus(RivalBonus):
         weight: Factor of the bonus.
         center: Subtract the running mean.
         scale: Divide by the running standard deviation.
+        refresh_interval: Calls of `observe` from one that looks at its batch to the next.
         features: `"inverse"` for the paper's; `"state"` for the whitened state itself, the plain
             prediction error of Stadie et al. (2015), https://arxiv.org/abs/1507.00814.
         feature_dim: Length of the learned features.
@@ -49,11 +50,19 @@ class PredictionErrorBonus(RivalBonus):
         weight: float = 1.0,
         center: bool = False,
         scale: bool = False,
+        refresh_interval: int = 1,
         features: Features = "inverse",
         feature_dim: int = 32,
         hidden_dims: Sequence[int] = (256, 256),
     ) -> None:
-        super().__init__(observation_dim, action_dim, weight=weight, center=center, scale=scale)
+        super().__init__(
+            observation_dim,
+            action_dim,
+            weight=weight,
+            center=center,
+            scale=scale,
+            refresh_interval=refresh_interval,
+        )
         check_counts(feature_dim=feature_dim)
         if features not in get_args(Features):
             raise ValueError(f"`features` must be 'inverse' or 'state', got {features!r}.")

@@ -9,12 +9,13 @@ from torch import Tensor
 from deep_curiosity.actor_critic import Reflex
 from deep_curiosity.agent import CuriousActorCritic
 from deep_curiosity.bonus import Bonus
+from deep_curiosity.bonuses import BonusLearner, make_bonus
 from deep_curiosity.compilation import compiled
 from deep_curiosity.curiosity import CuriosityBonus
-from deep_curiosity.optimization import Adam
 from deep_curiosity.replay import ReplayBuffer
 from deep_curiosity.rivals import ConstantBonus
 from deep_curiosity.training.collection import EnvironmentStep, EnvironmentSteps, as_batch
+from deep_curiosity.training.exploration import NOISES, Noise
 from deep_curiosity.training.machine import should_compile
 from deep_curiosity.training.settings import Settings
 from deep_curiosity.transitions import Transition
@@ -32,13 +33,19 @@ class Learner:
     def __init__(self, settings: Settings, observation_dim: int, action_dim: int) -> None:
         self.settings = settings
         self.agent = make_agent(settings, observation_dim, action_dim)
-        self.bonus = make_bonus(settings, observation_dim, action_dim)
+        self.bonus = make_run_bonus(settings, observation_dim, action_dim)
         self.agent.to(settings.device)
         if self.bonus is not None:
             self.bonus.to(settings.device)
-        parameters = [] if self.bonus is None else list(self.bonus.parameters())
-        self.bonus_optimizer = (
-            Adam(parameters, settings.model_learning_rate) if parameters else None
+        self.noise = (
+            None
+            if settings.exploration == "policy"
+            else NOISES[settings.exploration](settings.num_envs, action_dim)
+        )
+        self.bonus_learner = (
+            None
+            if self.bonus is None
+            else BonusLearner(self.bonus, learning_rate=settings.model_learning_rate)
         )
         self.replay = ReplayBuffer(
             settings.replay_capacity,
@@ -47,7 +54,11 @@ class Learner:
             seed=settings.seed,
             device=settings.device,
         )
-        quick = settings.policy_modes == 1 and self.agent.log_temperature.device.type == "cpu"
+        quick = (
+            settings.policy_modes == 1
+            and self.agent.log_temperature.device.type == "cpu"
+            and self.noise is None
+        )
         self._reflex = Reflex(self.agent.policy) if quick else None
         self._learn = self._learn_eagerly
         if should_compile(settings):
@@ -67,7 +78,15 @@ class Learner:
             noise = torch.randn(self.agent.action_dim).numpy()
             return self._reflex.act(observation.astype(np.float32), noise)
         batch = as_batch(observation).to(self.settings.device)
-        return self.agent.act(batch).reshape(shape).cpu().numpy()
+        action = self.agent.act(batch) if self.noise is None else self._explore(batch, self.noise)
+        return action.reshape(shape).cpu().numpy()
+
+    @torch.no_grad()
+    def _explore(self, observation: Tensor, noise: Noise) -> Tensor:
+        """Actions of the policy under a noise that is not its own."""
+        hidden = self.agent.policy.hidden(observation)
+        drawn = noise.draw(hidden).to(hidden.device)
+        return torch.tanh(self.agent.policy.at(hidden).pre_actions(drawn.unsqueeze(0)))[0]
 
     def act_deterministically(self, observation: Tensor) -> Tensor:
         """Centre of the policy at each observation."""
@@ -79,6 +98,9 @@ class Learner:
             self.replay.extend(*step)
         else:
             self.replay.add(*step)
+        if self.noise is not None:
+            for world in np.flatnonzero(np.logical_or(step.terminated, step.truncated)):
+                self.noise.begin(int(world))
 
     def update(self) -> dict[str, Tensor]:
         """One gradient step on the bonus's models and on every part of the agent."""
@@ -90,11 +112,8 @@ class Learner:
     def _learn_eagerly(self, transition: Transition) -> dict[str, Tensor]:
         """The part of an update that can be one graph; returns what to log."""
         metrics = {}
-        if self.bonus is not None:
-            loss = self.bonus.loss(transition)
-            if self.bonus_optimizer is not None:
-                self.bonus_optimizer.step(loss)
-            metrics["curiosity/model_loss"] = loss.detach()
+        if self.bonus_learner is not None:
+            metrics["curiosity/model_loss"] = self.bonus_learner.fit(transition)
         agent_metrics = self.agent.update(transition, self.bonus)
         return metrics | {f"agent/{name}": value for name, value in agent_metrics.items()}
 
@@ -109,8 +128,8 @@ class Learner:
         """Weights, optimisers, statistics, replay and the state of the random generators."""
         return {
             "agent": self.agent.state_dict(),
-            "bonus": self.bonus.state_dict() if self.bonus is not None else {},
-            "bonus_optimizer": self.bonus_optimizer.state_dict() if self.bonus_optimizer else {},
+            "bonus": {} if self.bonus_learner is None else self.bonus_learner.state_dict(),
+            "noise": {} if self.noise is None else self.noise.state_dict(),
             "replay": self.replay.state_dict(),
             "random": torch.get_rng_state(),
         }
@@ -118,10 +137,10 @@ class Learner:
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what `state_dict` gave."""
         self.agent.load_state_dict(state["agent"])
-        if self.bonus is not None:
-            self.bonus.load_state_dict(state["bonus"])
-        if self.bonus_optimizer is not None:
-            self.bonus_optimizer.load_state_dict(state["bonus_optimizer"])
+        if self.bonus_learner is not None:
+            self.bonus_learner.load_state_dict(state["bonus"])
+        if self.noise is not None:
+            self.noise.load_state_dict(state["noise"])
         self.replay.load_state_dict(state["replay"])
         torch.set_rng_state(state["random"])
 
@@ -147,12 +166,14 @@ def make_agent(settings: Settings, observation_dim: int, action_dim: int) -> Cur
     )
 
 
-def make_bonus(settings: Settings, observation_dim: int, action_dim: int) -> Bonus | None:
+def make_run_bonus(settings: Settings, observation_dim: int, action_dim: int) -> Bonus | None:
     """Bonus of a run, or `None` for plain soft actor-critic."""
     if settings.bonus == "none":
         return None
     if settings.bonus == "constant":
         return ConstantBonus(settings.bonus_weight)
+    if settings.bonus != "curiosity":
+        return _make_rival(settings, observation_dim, action_dim)
     return CuriosityBonus(
         observation_dim,
         action_dim,
@@ -165,4 +186,26 @@ def make_bonus(settings: Settings, observation_dim: int, action_dim: int) -> Bon
         bandwidth=settings.bandwidth,
         refresh_interval=settings.refresh_interval,
         member_per_row=settings.member_per_row,
+    )
+
+
+def _make_rival(settings: Settings, observation_dim: int, action_dim: int) -> Bonus:
+    """A rival with its own defaults, but for its scale and sizes, which all bonuses share."""
+    networks: dict[str, Any] = {"hidden_dims": (settings.hidden_dim, settings.hidden_dim)}
+    ensemble = networks | {"members": settings.members}
+    sizes = {
+        "disagreement": ensemble,
+        "information-gain": ensemble,
+        "rnd": networks,
+        "icm": networks,
+    }
+    return make_bonus(
+        settings.bonus,
+        observation_dim,
+        action_dim,
+        weight=settings.bonus_weight,
+        center=True,
+        scale=True,
+        refresh_interval=settings.refresh_interval,
+        **sizes.get(settings.bonus, {}),
     )

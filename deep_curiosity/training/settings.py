@@ -7,6 +7,11 @@ from typing import Literal, get_args, get_origin
 
 import torch
 
+from deep_curiosity.bonuses import BONUSES
+
+SCORES_OUTCOMES = [name for name, kind in BONUSES.items() if kind.scores_outcomes]
+"""Bonuses that are told what has happened, and cannot be climbed by the action."""
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -34,12 +39,26 @@ class Settings:
     resume: Path | None = None
     """Folder of a run to continue, in place; its own settings hold, but for total_steps."""
 
-    bonus: Literal["curiosity", "constant", "none"] = "curiosity"
-    """Curiosity; the same constant for every step (a control); or plain soft actor-critic."""
+    bonus: Literal[
+        "curiosity",
+        "disagreement",
+        "information-gain",
+        "rnd",
+        "icm",
+        "nearest-neighbours",
+        "hash-count",
+        "constant",
+        "none",
+    ] = "curiosity"
+    """Curiosity; a rival, centred and scaled as curiosity is; the same constant for every step (a
+    control); or plain soft actor-critic."""
     bonus_weight: float = 0.1
     """Factor of the standardised bonus."""
     curiosity_discount: float = 0.97
     """Discount of the bonus per step; 0 climbs the bonus itself, as the paper writes it."""
+    exploration: Literal["policy", "gsde", "pink", "ou"] = "policy"
+    """Noise of the actions: the policy's own draws, or draws that hang together in time: linear in
+    the policy's last hidden layer (gSDE), pink, or an Ornstein-Uhlenbeck process."""
     hunger: float = 1.0
     """Weight of the extrinsic value, alpha."""
     yielding: bool = True
@@ -131,5 +150,15 @@ class Settings:
         for name in ("seed", "learning_starts"):
             if getattr(self, name) < 0:
                 raise ValueError(f"`{name}` must not be negative, got {getattr(self, name)}.")
+        if self.exploration != "policy" and self.policy_modes > 1:
+            raise ValueError(
+                f"`exploration` must be 'policy' for {self.policy_modes} policy modes, "
+                f"got {self.exploration!r}."
+            )
+        if self.curiosity_discount == 0 and self.bonus in SCORES_OUTCOMES:
+            raise ValueError(
+                f"`curiosity_discount` must be above 0 for the bonus {self.bonus}, which has no "
+                "gradient in the action, got 0."
+            )
         if self.update_to_data <= 0:
             raise ValueError(f"`update_to_data` must be positive, got {self.update_to_data}.")

@@ -1,0 +1,35 @@
+"""Counting calls of which only some are to do something."""
+
+import torch
+from torch import Tensor, nn
+
+
+class Pace(nn.Module):
+    """Counts calls; the first is due, and every `interval`-th after it.
+
+    Args:
+        interval: Calls from one that is due to the next, at least 1.
+    """
+
+    num_calls: Tensor
+
+    def __init__(self, interval: int) -> None:
+        super().__init__()
+        self.interval = interval
+        self.register_buffer("num_calls", torch.zeros((), dtype=torch.long))
+        self._num_calls = 0  # the same as a plain number: to read it waits for no device
+        self.register_load_state_dict_post_hook(_recount)
+
+    @property
+    def is_due(self) -> bool:
+        """Whether the call in progress is one that does something."""
+        return self._num_calls % self.interval == 0
+
+    def count(self) -> None:
+        """Note that a call has ended well."""
+        self._num_calls += 1
+        self.num_calls.fill_(self._num_calls)
+
+
+def _recount(pace: Pace, _: object) -> None:
+    pace._num_calls = int(pace.num_calls)
