@@ -1,4 +1,4 @@
-"""A check that a bonus really works inside an agent, whichever library the agent is from."""
+"""What an agent with a bonus must answer to be checked, whichever library it is from."""
 
 from abc import ABC, abstractmethod
 from pathlib import Path

@@ -1,0 +1,37 @@
+import subprocess
+import sys
+
+import pytest
+
+
+def check(*arguments):
+    return subprocess.run(
+        [sys.executable, "-m", "deep_curiosity.check", *arguments],
+        capture_output=True,
+        text=True,
+        timeout=120,
+    )
+
+
+def test_a_task_is_profiled_and_the_bonus_checked():
+    done = check("PendulumSwingup", "--num-steps", "300", "--num-updates", "20")
+    assert done.returncode == 0, done.stderr
+    for told in ("excess kurtosis", "targets", "floor_share", "noise floor makes"):
+        assert told in done.stdout
+
+
+def test_a_useless_bonus_is_told_by_the_exit_status():
+    done = check("PendulumSwingup", "--num-steps", "100", "--bonus", "constant")
+    assert done.returncode == 1 and "not constant  NO" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["CartPole-v1"], "error: `action_space` must be a Box"),
+        (["PendulumSwingup", "--bonus", "luck"], "error: `bonus` must be one of"),
+    ],
+)
+def test_what_cannot_be_checked_is_said_in_a_line(arguments, message):
+    done = check(*arguments)
+    assert done.returncode != 0 and message in done.stderr and "Traceback" not in done.stderr
