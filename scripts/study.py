@@ -7,6 +7,7 @@ from typing import Any, Literal
 import tyro
 
 from deep_curiosity.training import Settings
+from deep_curiosity.training.comparison import compare, draw_comparison
 from deep_curiosity.training.study import Task, run_study, summarize
 
 
@@ -61,6 +62,7 @@ RIVALS = (
     "hash-count",
 )
 UNDIRECTED = {"gSDE": "gsde", "pink noise": "pink", "Ornstein-Uhlenbeck": "ou"}
+MANY_AGENTS = 5
 STUDIES = {
     "sparse": Study(SPARSE, CURIOSITY | PLAIN, seeds=5),
     "control": Study(SPARSE, {"constant bonus": {"bonus": "constant"}}, seeds=1),
@@ -74,12 +76,10 @@ STUDIES = {
     ),
     "bonuses": Study(
         [halved(task, 16_000) for task in (*SPARSE, REACHER, MOUNTAIN_CAR)],
-        CURIOSITY | {name: {"bonus": name} for name in RIVALS} | PLAIN,
-        seeds=5,
-    ),
-    "undirected": Study(
-        [halved(task, 16_000) for task in (*SPARSE, REACHER, MOUNTAIN_CAR)],
-        {name: {"bonus": "none", "exploration": key} for name, key in UNDIRECTED.items()},
+        CURIOSITY
+        | {name: {"bonus": name} for name in RIVALS}
+        | PLAIN
+        | {name: {"bonus": "none", "exploration": key} for name, key in UNDIRECTED.items()},
         seeds=5,
     ),
     "mountain_car": Study([MOUNTAIN_CAR], CURIOSITY | PLAIN, seeds=5),
@@ -106,12 +106,10 @@ STUDIES = {
 class Args:
     """What to study, and where."""
 
-    study: Literal[
-        "sparse", "control", "savings", "bonuses", "undirected", "mountain_car", "dense"
-    ] = "sparse"
+    study: Literal["sparse", "control", "savings", "bonuses", "mountain_car", "dense"] = "sparse"
     """PendulumSwingup and PointMaze; the same with a constant for a bonus; the same without
-    compiling, and without what the default spares; all bonuses on four tasks; noises of the
-    actions without a bonus on the same; MountainCarContinuous-v0; HalfCheetah-v5."""
+    compiling, and without what the default spares; all bonuses, and noises of the actions without
+    one, on four tasks; MountainCarContinuous-v0; HalfCheetah-v5."""
     seeds: int | None = None
     """Seeds of each agent on each task; by default as many as the study is documented with."""
     runs: Path = Path("runs/study")
@@ -126,15 +124,19 @@ def main() -> None:
     """Run a study and print its table."""
     args = tyro.cli(Args, description=__doc__)
     study = STUDIES[args.study]
+    out = args.out / args.study
     rows = run_study(
         study.tasks,
         study.agents,
         seeds=range(study.seeds if args.seeds is None else args.seeds),
         runs=args.runs / args.study,
-        out=args.out / args.study,
+        out=out,
         workers=args.workers,
     )
     print(summarize(rows))
+    if len(study.agents) > MANY_AGENTS:  # curves on top of each other tell little
+        out.with_suffix(".md").write_text(compare(study.tasks, rows))
+        draw_comparison(out.with_suffix(".png"), study.tasks, rows)
 
 
 if __name__ == "__main__":
