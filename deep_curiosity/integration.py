@@ -2,7 +2,6 @@
 
 from abc import ABC, abstractmethod
 from pathlib import Path
-from typing import ClassVar
 
 from torch import Tensor
 
@@ -12,9 +11,6 @@ from deep_curiosity.transitions import Transition
 
 class Integration(ABC):
     """An agent with a bonus, as the check handles it; each adapter has its own."""
-
-    on_policy: ClassVar[bool] = False
-    """Whether the agent learns from its newest rollout alone, in which the bonus is then added."""
 
     @property
     @abstractmethod
