@@ -1,0 +1,1 @@
+"""Bonuses inside the agents of other libraries; each is imported only by its own adapter."""

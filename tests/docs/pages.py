@@ -1,0 +1,17 @@
+"""Runs the Python of a page as its reader would: block after block, in one namespace."""
+
+import re
+from pathlib import Path
+
+BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
+
+
+def run_blocks(path: Path) -> dict[str, object]:
+    """Execute every Python block of a Markdown page; give the names that they leave behind."""
+    names: dict[str, object] = {"__name__": path.stem}
+    text = path.read_text()
+    for block in BLOCK.finditer(text):
+        line = text.count("\n", 0, block.start(1))
+        code = "\n" * line + block.group(1)  # so that a traceback names the line of the page
+        exec(compile(code, str(path), "exec"), names)
+    return names

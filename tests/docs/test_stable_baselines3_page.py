@@ -1,0 +1,21 @@
+from pathlib import Path
+
+from stable_baselines3 import PPO, SAC
+
+from tests.docs.pages import run_blocks
+
+PAGE = Path(__file__).parents[2] / "docs/integrations/stable_baselines3.md"
+
+
+def test_the_blocks_run_as_written():
+    names = run_blocks(PAGE)
+    assert type(names["model"]) is type(names["again"]) is PPO
+    assert names["again"].num_timesteps == 256
+    first, second = (names[name].rollout_buffer.bonus for name in ("model", "again"))
+    assert int(second.pace.num_calls) == 2 * int(first.pace.num_calls)
+    assert names["SAC"] is SAC
+
+
+def test_three_lines_are_told_for_each_kind_of_agent():
+    marked = [line[-3:] for line in PAGE.read_text().splitlines() if line[-3:-1] == "# "]
+    assert marked == ["# 1", "# 2", "# 3"] * 2
