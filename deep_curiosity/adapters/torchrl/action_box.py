@@ -1,0 +1,81 @@
+"""The range of actions in the environment, which bonuses and priors know as [-1, 1]."""
+
+import torch
+from torch import Tensor
+from torchrl.data import Bounded, Composite, TensorSpec
+
+Key = str | tuple[str, ...]
+"""Name of an entry of a tensordict, or the path to it."""
+UNIT_EDGE = 1 - 1e-6  # atanh is infinite at the edge of the action box
+
+
+class ActionBox:
+    """The range of actions in the environment, which a bonus knows as [-1, 1].
+
+    Args:
+        low: Lowest action, one number or one for each entry.
+        high: Highest action, likewise.
+
+    Raises:
+        ValueError: If `low` is not below `high`, or one of them is not finite.
+    """
+
+    def __init__(self, low: float | Tensor = -1.0, high: float | Tensor = 1.0) -> None:
+        self.low, self.high = torch.as_tensor(low), torch.as_tensor(high)
+        width = self.high - self.low
+        if not (torch.isfinite(width).all() and (width > 0).all()):
+            raise ValueError(
+                "`low` must be finite and below `high`, "
+                f"got {self.low.tolist()} and {self.high.tolist()}."
+            )
+
+    @classmethod
+    def from_spec(cls, action_spec: TensorSpec, action_key: Key = "action") -> "ActionBox":
+        """Range of a bounded spec, or of the entry for the action in a composite one.
+
+        Raises:
+            ValueError: If the actions are not bounded.
+        """
+        leaf = action_spec[action_key] if isinstance(action_spec, Composite) else action_spec
+        if not isinstance(leaf, Bounded):
+            raise ValueError(f"`action_spec` must be bounded, got {leaf}.")
+        last = (0,) * (leaf.ndim - 1)  # all worlds share one range
+        return cls(leaf.space.low[last], leaf.space.high[last])
+
+    @classmethod
+    def from_either(
+        cls,
+        action_spec: TensorSpec | None,
+        low: float | Tensor,
+        high: float | Tensor,
+        action_key: Key = "action",
+    ) -> "ActionBox":
+        """Range of the spec, or where there is none, the one given."""
+        return cls(low, high) if action_spec is None else cls.from_spec(action_spec, action_key)
+
+    @property
+    def dim(self) -> int:
+        """Length of an action.
+
+        Raises:
+            ValueError: If one number was given for all its entries.
+        """
+        if self.low.ndim == 0:
+            raise ValueError(
+                "`action_spec` must be given where the length of an action counts, got None."
+            )
+        return self.low.shape[-1]
+
+    @property
+    def log_half_volume(self) -> float:
+        """Log of the volume of the range over that of [-1, 1]."""
+        return float(((self.high - self.low) / 2).log().sum())
+
+    def to_unit(self, action: Tensor) -> Tensor:
+        """An action of the environment as one in [-1, 1]."""
+        low, high = self.low.to(action), self.high.to(action)
+        return 2 * (action - low) / (high - low) - 1
+
+    def pre_action(self, action: Tensor) -> Tensor:
+        """What the tanh was taken of, as far as the rounded action still tells."""
+        return torch.atanh(self.to_unit(action).clamp(-UNIT_EDGE, UNIT_EDGE))
