@@ -253,8 +253,8 @@ def _finite_rows(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.nda
 
 def _oldest_first(buffer: "TorchRLReplayBuffer") -> Any:
     """Contents of a torchrl buffer in the order of writing, also where it has gone round."""
-    held = buffer[:]
-    if len(buffer) < buffer._storage.max_size:
+    held = buffer.storage[:]  # `buffer[:]` would pass through its transforms
+    if len(buffer) < buffer.storage.max_size:
         return held
-    next_slot = buffer._writer._cursor % len(buffer)
+    next_slot = buffer.writer._cursor % len(buffer)
     return torch.cat([held[next_slot:], held[:next_slot]])

@@ -36,6 +36,7 @@ OURS = {
     "curious, nothing spared": replace(CURIOUS, member_per_row=False),
 }
 BONUS_CALLS = 50  # in a turn: a tenth of a second
+ADAPTER_CALLS = 50  # in a turn: three seconds
 UPDATES = 20  # in a turn: a multiple of the interval at which the marginal is renewed
 WORLD_STEPS = 2_000  # in a turn, of all worlds
 
@@ -50,7 +51,7 @@ class Args:
     """Environment steps of an agent in a turn; best a multiple of 20."""
     out: Path = Path("docs/benchmark")
     """Folder for tables, pictures and their README.md."""
-    only: Literal["agents", "bonus", "scaling", "vector"] | None = None
+    only: Literal["agents", "bonus", "scaling", "vector", "adapters"] | None = None
     """One section; the page keeps what is there of the others."""
     peers: dict[str, str] = field(default_factory=dict)
     """Further agents, each a name and module:callable, which makes a contender as described in
@@ -110,7 +111,24 @@ def vector(args: Args) -> None:
     draw_vector(args.out / "vector.png", rows)
 
 
-SECTIONS = {"agents": agents, "bonus": bonus, "scaling": scaling, "vector": vector}
+def adapters(args: Args) -> None:
+    """What an adapter costs beyond the bonus itself; left out where a library is missing."""
+    try:
+        from deep_curiosity.benchmark.adapters import measure_adapters
+    except ImportError as error:
+        print(f"adapters are left out: {error}")
+        return
+    rows = measure_adapters(PLAIN.env_id, repeats=args.repeats, calls=ADAPTER_CALLS)
+    save_rows(args.out / "adapters.csv", rows)
+
+
+SECTIONS = {
+    "agents": agents,
+    "bonus": bonus,
+    "scaling": scaling,
+    "vector": vector,
+    "adapters": adapters,
+}
 
 
 def note_machine(path: Path, section: str) -> None:

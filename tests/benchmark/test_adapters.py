@@ -1,0 +1,29 @@
+import pytest
+
+from deep_curiosity.benchmark.adapters import measure_adapters
+from deep_curiosity.benchmark.page import adapters_section
+from deep_curiosity.benchmark.tables import save_rows
+
+
+@pytest.mark.filterwarnings("ignore")  # what MuJoCo says of the task's file
+def test_every_adapter_is_measured_against_the_bonus_alone(tmp_path):
+    rows = measure_adapters("HalfCheetah-v5", repeats=1, calls=2)
+    assert [row["adapter"] for row in rows] == ["Stable-Baselines3", "torchrl"]
+    for row in rows:
+        assert row["step_ms"] > row["curious_ms"] > row["plain_ms"] > 0 < row["direct_ms"]
+    save_rows(tmp_path / "adapters.csv", rows)
+    assert "| Stable-Baselines3 | " in adapters_section(tmp_path)
+
+
+def test_overhead_is_what_is_left_of_a_sample_in_percent_of_a_step(tmp_path):
+    row = {
+        "adapter": "some",
+        "curious_ms": 6.0,
+        "plain_ms": 1.0,
+        "direct_ms": 4.0,
+        "step_ms": 20.0,
+    }
+    save_rows(tmp_path / "adapters.csv", [row])
+    assert "| some | 6 [6, 6] | 1 [1, 1] | 4 [4, 4] | 20 [20, 20] | 5 [5, 5] |" in (
+        adapters_section(tmp_path)
+    )
