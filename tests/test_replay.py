@@ -249,6 +249,15 @@ def test_a_torchrl_buffer_that_went_round_comes_out_oldest_first(torchrl_data):
     assert numbers(back.all()) == list(range(3, 11))
 
 
+def test_the_copy_is_of_what_a_torchrl_buffer_stores_and_not_of_what_it_samples(torchrl_data):
+    transforms = pytest.importorskip("torchrl.envs.transforms")
+    buffer = filled(5).to_torchrl()
+    key = [("next", "reward")]
+    buffer.append_transform(transforms.RewardScaling(1.0, 2.0, key, key, standard_normal=False))
+    assert not buffer[:]["next", "reward"].flatten().equal(filled(5).all().reward)
+    assert ReplayBuffer.from_torchrl(buffer).all().reward.equal(filled(5).all().reward)
+
+
 def test_seed_of_the_copy_decides_its_draws(torchrl_data):
     buffer = filled(8).to_torchrl()
     draws = [ReplayBuffer.from_torchrl(buffer, seed=seed).sample(50) for seed in (1, 1, 2)]
