@@ -2,9 +2,10 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import NamedTuple
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -39,40 +40,42 @@ def check_integration(agent: Integration, *, num_steps: int = 400, seed: int = 0
         folder = Path(name)
         given = agent.collect(num_steps, seed=seed)
         stored = agent.stored()
-        before = _saved(agent, folder / "before")
-        rewards = _check_rewards(agent, before, num_steps, seed)
-        acts = _check_acts(agent, before, num_steps, seed)
+        copies = _Copies(agent, _saved(agent, folder / "before"), num_steps, seed)
+        others = [_check_rewards(copies), _check_ends(given, stored), *_check_acts(copies)]
         answers = _check_answers(agent, stored, seed)
         spoiled = Finding("state", None, "the agent has learned from no numbers", "see above")
         state = _check_state(agent, folder / "after", seed) if answers[0].passed else spoiled
-    return Report((*answers, rewards, _check_ends(given, stored), *acts, state))
+    return Report((*answers, *others, state))
 
 
-class _Replaced(NamedTuple):
-    """What an agent has become whose bonus was replaced."""
+@dataclass(frozen=True)
+class _Copies:
+    """Makes copies of a saved agent that live with another bonus."""
 
-    critic: list[Tensor]
-    actor: list[Tensor]
-    given: Transition | None
-    stored: Transition
+    agent: Integration
+    folder: Path
+    num_steps: int
+    seed: int
 
+    def live(
+        self, bonus: Callable[..., Tensor], *, collecting: bool = True, updates: int = 1
+    ) -> tuple[Integration, Transition | None]:
+        """Let a copy learn, and collect before that, with its bonus replaced.
 
-def _learned_with(
-    agent: Integration,
-    folder: Path,
-    replacement: Callable[..., Tensor],
-    seed: int,
-    *,
-    num_steps: int = 0,
-    updates: int = 1,
-) -> _Replaced:
-    """A copy of the agent after learning with its bonus replaced, and perhaps collecting so."""
-    copy = agent.load(folder)
-    copy.bonus.forward = replacement  # type: ignore[method-assign]
-    given = copy.collect(num_steps, seed=seed) if num_steps else None
-    for update in range(updates):
-        copy.learn(seed=seed + update)
-    return _Replaced(_clones(copy.critic()), _clones(copy.actor()), given, copy.stored())
+        Returns:
+            The copy, and what its environment gave.
+        """
+        copy = self.agent.load(self.folder)
+        copy.bonus.forward = bonus  # type: ignore[method-assign]
+        given = copy.collect(self.num_steps, seed=self.seed) if collecting else None
+        for update in range(updates):
+            copy.learn(seed=self.seed + update)
+        return copy, given
+
+    def parted(self, part: Callable[[Integration], list[Tensor]], **life: Any) -> float:
+        """How far apart are two copies, of which one earns nothing and one a strong pattern."""
+        silent, marked = (self.live(bonus, **life)[0] for bonus in (_silence, _pattern))
+        return _distance(part(silent), part(marked))
 
 
 def _silence(observation: Tensor, *others: Tensor | None) -> Tensor:
@@ -114,15 +117,15 @@ def _check_answers(agent: Integration, stored: Transition, seed: int) -> list[Fi
     ]
 
 
-def _check_rewards(agent: Integration, folder: Path, num_steps: int, seed: int) -> Finding:
+def _check_rewards(copies: _Copies) -> Finding:
     """Whether the bonus is counted at learning, and nowhere else."""
-    marked = _learned_with(agent, folder, _pattern, seed, num_steps=num_steps)
-    assert marked.given is not None
-    newest = marked.stored.reward[-len(marked.given.reward) :]
-    error = (newest - marked.given.reward).abs().max().item()
+    marked, given = copies.live(_pattern)
+    assert given is not None
+    newest = marked.stored().reward[-len(given.reward) :]
+    error = (newest - given.reward).abs().max().item()
     return Finding(
         "raw",
-        error <= REWARD_ERROR * max(1.0, marked.given.reward.abs().max().item()),
+        error <= REWARD_ERROR * max(1.0, given.reward.abs().max().item()),
         f"stored rewards differ from the environment's by at most {error:.3g}",
         "store rewards as the environment gives them, and add the bonus to a copy when sampling",
     )
@@ -147,26 +150,18 @@ def _check_ends(given: Transition, stored: Transition) -> Finding:
     )
 
 
-def _check_acts(agent: Integration, folder: Path, num_steps: int, seed: int) -> list[Finding]:
+def _check_acts(copies: _Copies) -> list[Finding]:
     """Whether the bonus moves critic and actor; of one that does not, nothing more is asked."""
-    targets = _check_targets(agent, folder, num_steps, seed)
-    if not targets.passed:
-        unasked = ("the bonus does not reach the critic", "see above")
-        return [targets, Finding("fresh", None, *unasked), Finding("actor", None, *unasked)]
-    return [
-        targets,
-        _check_fresh(agent, folder, seed),
-        _check_actor(agent, folder, num_steps, seed),
-    ]
+    targets = _check_targets(copies)
+    if targets.passed:
+        return [targets, _check_fresh(copies), _check_actor(copies)]
+    unasked = ("the bonus does not reach the critic", "see above")
+    return [targets, Finding("fresh", None, *unasked), Finding("actor", None, *unasked)]
 
 
-def _check_targets(agent: Integration, folder: Path, num_steps: int, seed: int) -> Finding:
+def _check_targets(copies: _Copies) -> Finding:
     """Whether the bonus reaches the critic at all, wherever it may be added."""
-    silent, marked = (
-        _learned_with(agent, folder, bonus, seed, num_steps=num_steps)
-        for bonus in (_silence, _pattern)
-    )
-    moved = _distance(silent.critic, marked.critic)
+    moved = copies.parted(lambda copy: copy.critic())
     return Finding(
         "targets",
         moved > 0,
@@ -176,10 +171,9 @@ def _check_targets(agent: Integration, folder: Path, num_steps: int, seed: int) 
     )
 
 
-def _check_fresh(agent: Integration, folder: Path, seed: int) -> Finding:
+def _check_fresh(copies: _Copies) -> Finding:
     """Whether what was collected under an older bonus is learned under the newest."""
-    silent, marked = (_learned_with(agent, folder, bonus, seed) for bonus in (_silence, _pattern))
-    moved = _distance(silent.critic, marked.critic)
+    moved = copies.parted(lambda copy: copy.critic(), collecting=False)
     return Finding(
         "fresh",
         moved > 0,
@@ -188,13 +182,9 @@ def _check_fresh(agent: Integration, folder: Path, seed: int) -> Finding:
     )
 
 
-def _check_actor(agent: Integration, folder: Path, num_steps: int, seed: int) -> Finding:
+def _check_actor(copies: _Copies) -> Finding:
     """Whether, by the critic, the bonus reaches the actor."""
-    silent, marked = (
-        _learned_with(agent, folder, bonus, seed, num_steps=num_steps, updates=NUM_UPDATES)
-        for bonus in (_silence, _pattern)
-    )
-    moved = _distance(silent.actor, marked.actor)
+    moved = copies.parted(lambda copy: copy.actor(), updates=NUM_UPDATES)
     return Finding(
         "actor",
         moved > 0,
@@ -229,10 +219,6 @@ def _saved(agent: Integration, folder: Path) -> Path:
     folder.mkdir()
     agent.save(folder)
     return folder
-
-
-def _clones(parameters: list[Tensor]) -> list[Tensor]:
-    return [parameter.detach().clone() for parameter in parameters]
 
 
 def _distance(first: list[Tensor], second: list[Tensor]) -> float:

@@ -108,19 +108,16 @@ class DisagreementBonus(RivalBonus):
         self, observation: Tensor, action: Tensor, next_observation: Tensor | None
     ) -> Tensor:
         """Mean variance of the predictions, in whitened units squared."""
-        return self.ensemble.variance(self._features(observation, action)).mean(-1)
+        return self.ensemble.variance(self.pair_features(observation, action)).mean(-1)
 
     def fit(self, transition: Transition) -> Tensor:
         """Squared error of the predictions."""
-        features = self._features(transition.observation, transition.action)
+        features = self.pair_features(transition.observation, transition.action)
         return self.ensemble.loss(features, _change(transition))
 
     def remember(self, transition: Transition, policy: Policy | None) -> None:
         """Statistics of the changes."""
         self.ensemble.outcome_moments.update(_change(transition))
-
-    def _features(self, observation: Tensor, action: Tensor) -> Tensor:
-        return torch.cat([self.observation_moments.normalize(observation), action], dim=-1)
 
 
 class InformationGainBonus(RivalBonus):
@@ -210,12 +207,12 @@ class InformationGainBonus(RivalBonus):
         self, observation: Tensor, action: Tensor, next_observation: Tensor | None
     ) -> Tensor:
         """Information gain of each pair, in nats a dimension."""
-        variance = self.ensemble.variance(self._features(observation, action))
+        variance = self.ensemble.variance(self.pair_features(observation, action))
         return torch.log1p(variance / self.noise_std**2).mean(-1)
 
     def fit(self, transition: Transition) -> Tensor:
         """Squared error of the predictions."""
-        features = self._features(transition.observation, transition.action)
+        features = self.pair_features(transition.observation, transition.action)
         return self.ensemble.loss(features, _change_and_reward(transition))
 
     def remember(self, transition: Transition, policy: Policy | None) -> None:
@@ -234,9 +231,6 @@ class InformationGainBonus(RivalBonus):
         """Statistics of the gain, in nats a dimension, and the weight as it now stands."""
         weight = self.standardization.weight * self.log_factor.exp()
         return super().metrics() | {"weight": weight}
-
-    def _features(self, observation: Tensor, action: Tensor) -> Tensor:
-        return torch.cat([self.observation_moments.normalize(observation), action], dim=-1)
 
 
 def _change(transition: Transition) -> Float[Tensor, "batch observation_dim"]:

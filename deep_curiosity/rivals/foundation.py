@@ -119,6 +119,10 @@ class RivalBonus(Bonus):
     def remember(self, transition: Transition, policy: Policy | None) -> None:
         """Whatever else is kept of a batch; nothing by default."""
 
+    def pair_features(self, observation: Tensor, action: Tensor) -> Tensor:
+        """Whitened observation and action, as networks of pairs take them."""
+        return torch.cat([self.observation_moments.normalize(observation), action], dim=-1)
+
     @property
     def _dtype(self) -> torch.dtype:
         return self.observation_moments.mean.dtype
