@@ -53,12 +53,12 @@ SHARED: dict[str, Any] = {
     "learning_rate": 1e-3,
     "tau": 0.02,
     "gamma": 0.99,
-    "batch_size": 128,
     "learning_starts": 1_000,
-    "train_freq": 2,
     "policy_kwargs": {"net_arch": [64, 64]},
     "device": "cpu",
 }
+SAC_ALONE = {"ent_coef": "auto_0.1", "batch_size": 128, "train_freq": 2}
+TD3_ALONE = {"batch_size": 256, "train_freq": 1}  # with half as many updates its actor saturates
 CURIOUS: dict[str, Any] = {
     "replay_buffer_class": CuriousReplayBuffer,
     "replay_buffer_kwargs": {
@@ -73,9 +73,9 @@ def make_agent(name: str, seed: int) -> OffPolicyAlgorithm:
     """An agent of the study; the curious one differs from the plain one by its buffer alone."""
     settings = deepcopy(SHARED | (CURIOUS if "curious" in name else {}))  # agents add to theirs
     if name.startswith("SAC"):
-        return SAC("MlpPolicy", TASK.name, ent_coef="auto_0.1", seed=seed, **settings)
+        return SAC("MlpPolicy", TASK.name, seed=seed, **SAC_ALONE, **settings)
     noise = NormalActionNoise(np.zeros(1), np.full(1, 0.1))
-    return TD3("MlpPolicy", TASK.name, action_noise=noise, seed=seed, **settings)
+    return TD3("MlpPolicy", TASK.name, action_noise=noise, seed=seed, **TD3_ALONE, **settings)
 
 
 def run_once(agent: str, seed: int, folder: Path) -> dict[str, Any]:
