@@ -22,7 +22,7 @@ train: setup  ## train the curious agent on PendulumSwingup with action cost, un
 		--total-steps 16000 --hidden-dim 64 --out $(OUT)
 
 test: setup  ## the default tests, under 5 minutes
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto
 
 slow: setup  ## the learning tests, tens of minutes
 	$(BIN)/python -m pytest -m slow
@@ -32,11 +32,14 @@ lint: setup  ## ruff and mypy
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-figures: setup  ## the studies behind the README, about an hour on 2 cores
+figures: setup  ## the studies behind the README, some hours on 2 cores
 	$(BIN)/python scripts/study.py --study sparse
 	$(BIN)/python scripts/study.py --study control
 	$(BIN)/python scripts/study.py --study mountain_car
 	$(BIN)/python scripts/study.py --study dense
+	$(BIN)/python scripts/study.py --study bonuses
+	$(BIN)/python scripts/study_stable_baselines3.py
+	$(BIN)/python scripts/study_torchrl.py
 
 bench: setup  ## speed, floor, memory and growth into docs/benchmark, 10 minutes on an idle machine
 	$(BIN)/python scripts/benchmark.py
