@@ -720,7 +720,7 @@ def test_a_reward_of_another_shape_is_refused():
 def test_a_missing_entry_is_named():
     batch = make_batch()
     batch["next"].pop("terminated")
-    with pytest.raises(KeyError, match="`terminated` must be among the entries, got .*'reward'"):
+    with pytest.raises(KeyError, match=r"`terminated` must be among the entries, got .*'reward'"):
         CuriosityTransform(LevelBonus())(batch)
 
 
