@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 from functools import wraps
+from inspect import ismethod
+from types import FunctionType, MethodType
 from typing import Any, ParamSpec, TypeVar
 
 import torch
@@ -24,7 +26,7 @@ def compiled(
         fall_back: Run the function as it is where it cannot be compiled; otherwise torch's error
             is raised.
     """
-    graph = torch.compile(function, fullgraph=True, dynamic=False, options=_options())
+    graph = torch.compile(_copied(function), fullgraph=True, dynamic=False, options=_options())
     calls, failed = 0, False
 
     @wraps(function)
@@ -47,6 +49,21 @@ def compiled(
             return function(*args, **kwargs)
 
     return run
+
+
+def _copied(function: Callable[Inputs, Output]) -> Callable[Inputs, Output]:
+    """The same function with code of its own.
+
+    Torch keeps graphs with the code of a function and gives up after some; of the many agents that
+    a process may train, each would otherwise count against the others.
+    """
+    plain: Any = function.__func__ if ismethod(function) else function
+    code = plain.__code__.replace()
+    copy = FunctionType(
+        code, plain.__globals__, plain.__name__, plain.__defaults__, plain.__closure__
+    )
+    copy.__kwdefaults__ = plain.__kwdefaults__
+    return MethodType(copy, function.__self__) if ismethod(function) else copy
 
 
 def _traced(

@@ -63,6 +63,25 @@ except Exception as error:
     print(type(error).__name__)
 """
 
+MANY = """
+import torch
+from deep_curiosity.compilation import compiled
+
+torch._dynamo.config.recompile_limit = 2
+
+class Scale:
+    def __init__(self, factor):
+        self.factor = factor
+
+    def apply(self, value):
+        return self.factor * value
+
+runs = [compiled(Scale(factor).apply) for factor in range(6)]
+for _ in range(5):
+    scaled = [run(torch.ones(1)).item() for run in runs]
+print(scaled)
+"""
+
 
 def output_of(program):
     """Lines that a program of its own prints."""
@@ -88,3 +107,8 @@ def test_what_cannot_be_compiled_runs_as_it_is_where_that_is_asked_for():
     assert said == "looks_at_values runs uncompiled: Unsupported"
     assert values == "[2.0, 2.0, 2.0, 2.0, 2.0]"
     assert error == "Unsupported"
+
+
+def test_one_process_compiles_as_many_agents_as_it_likes():
+    (scaled,) = output_of(MANY)
+    assert scaled == "[0.0, 1.0, 2.0, 3.0, 4.0, 5.0]"
