@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from deep_curiosity.action_information import action_information
 from deep_curiosity.action_prior import ActionMarginal, FlatPrior
 from deep_curiosity.actor_critic import Critics, GaussianPolicy
 from deep_curiosity.bonus import Bonus
@@ -23,11 +24,14 @@ from deep_curiosity.optimization import Adam
 from deep_curiosity.transitions import Transition, check_batch, check_transition
 
 SPREAD_DECAY = 0.99  # of the running spreads of the values, for each update
+PARITY_FLOOR = 1e-3  # of the spreads' ratio: a dial lifts curiosity by no more than a thousand
 NUM_PRIOR_DRAWS = 256  # for the reported divergence of the prior from uniform
 RATE_PER_ACTION_DIM = {
     "uniform": 1 + math.log(2),  # nats from uniform: soft actor-critic's target entropy of -1
     "learned": 1.0,
 }
+
+Hunger = Float[Tensor, ""] | Float[Tensor, " batch"]  # one for all, or one for each
 
 
 class PolicyDraws(NamedTuple):
@@ -57,10 +61,16 @@ class CuriousActorCritic(nn.Module):
         curiosity: Whether `update` is given a bonus.
         curiosity_discount: Of the bonus, per step. 0 is the paper's equation as written: the actor
             climbs the bonus itself, differentiated through the model, and no critic learns it.
+        curiosity_episodic: Whether the curiosity value ends where the world does. Otherwise it
+            looks past the end, as in Burda et al. (2018), https://arxiv.org/abs/1810.12894.
         hunger: Weight of the extrinsic value, alpha.
-        yielding: Let curiosity yield to reward: its value is weighed by the ratio of the spreads
-            of `Q_D` and `Q` over replay, at most 1. While no state is worth more than another,
-            curiosity has its full weight; where reward tells states apart, it fades.
+        dial: Tell policy and critics the hunger, a number in [0, 1], and train them for all of it:
+            every transition is relabelled with a hunger of its own. Reward weighs `hunger`,
+            curiosity `1 - hunger`, each in units of the spread of its value where reward's is the
+            larger. One agent is then every agent from purely curious (0) to purely greedy (1).
+        yielding: Without a dial, let curiosity yield to reward: its value is weighed by the ratio
+            of the spreads of `Q_D` and `Q` over replay, at most 1. While no state is worth more
+            than another, curiosity has its full weight; where reward tells states apart, it fades.
         prior: `"uniform"` for soft actor-critic's flat prior, `"learned"` for the action marginal.
         temperature: Price of a nat, lambda; the initial one where it is tuned.
         tune_temperature: Adjust the temperature to hold `target_information_rate`, the dual (10).
@@ -81,6 +91,7 @@ class CuriousActorCritic(nn.Module):
     """
 
     _hunger: Tensor
+    _curiosity_weight: Tensor
     discounts: Tensor
     spreads: Tensor
     prior: FlatPrior | ActionMarginal
@@ -95,7 +106,9 @@ class CuriousActorCritic(nn.Module):
         discount: float = 0.99,
         curiosity: bool = True,
         curiosity_discount: float = 0.97,
+        curiosity_episodic: bool = True,
         hunger: float = 1.0,
+        dial: bool = False,
         yielding: bool = False,
         prior: Literal["uniform", "learned"] = "uniform",
         temperature: float = 1.0,
@@ -116,6 +129,8 @@ class CuriousActorCritic(nn.Module):
         self.observation_dim = observation_dim
         self.action_dim = action_dim
         self.curiosity = curiosity
+        self.curiosity_episodic = curiosity_episodic
+        self.dial = dial
         self.yielding = yielding
         self.tune_temperature = tune_temperature
         self.soft_backup = prior == "uniform" if soft_backup is None else soft_backup
@@ -130,16 +145,16 @@ class CuriousActorCritic(nn.Module):
 
         has_curiosity_critic = curiosity and curiosity_discount > 0
         discounts = [discount, curiosity_discount] if has_curiosity_critic else [discount]
+        seen_dim = observation_dim + int(dial)
         self.policy = GaussianPolicy(
-            observation_dim, action_dim, modes=policy_modes, hidden_dims=hidden_dims
+            seen_dim, action_dim, modes=policy_modes, hidden_dims=hidden_dims
         )
-        self.critics = Critics(
-            observation_dim, action_dim, pairs=len(discounts), hidden_dims=hidden_dims
-        )
+        self.critics = Critics(seen_dim, action_dim, pairs=len(discounts), hidden_dims=hidden_dims)
         self.target_critics = deepcopy(self.critics).requires_grad_(False)
         self.prior = FlatPrior(action_dim) if prior == "uniform" else ActionMarginal(action_dim)
         self.log_temperature = nn.Parameter(torch.zeros(()), requires_grad=tune_temperature)
         self.register_buffer("_hunger", torch.zeros(()))
+        self.register_buffer("_curiosity_weight", torch.ones(()))
         self.register_buffer("discounts", torch.tensor(discounts).unsqueeze(-1))  # pairs 1
         self.register_buffer("spreads", torch.zeros(len(discounts)))  # of each value over replay
         self.temperature = temperature
@@ -160,7 +175,20 @@ class CuriousActorCritic(nn.Module):
     def hunger(self, value: float) -> None:
         if not (math.isfinite(value) and value >= 0):
             raise ValueError(f"`hunger` must be finite and not negative, got {value}.")
+        if self.dial and value > 1:
+            raise ValueError(f"`hunger` must lie in [0, 1] on a dial, got {value}.")
         self._hunger.fill_(value)
+
+    @property
+    def curiosity_weight(self) -> float:
+        """Factor of the curiosity value in the actor, 1; set to 0 to switch curiosity off."""
+        return self._curiosity_weight.item()
+
+    @curiosity_weight.setter
+    def curiosity_weight(self, value: float) -> None:
+        if not (math.isfinite(value) and value >= 0):
+            raise ValueError(f"`curiosity_weight` must be finite and not negative, got {value}.")
+        self._curiosity_weight.fill_(value)
 
     @property
     def temperature(self) -> float:
@@ -175,20 +203,43 @@ class CuriousActorCritic(nn.Module):
 
     @property
     def curiosity_share(self) -> Tensor:
-        """Weight of the curiosity value in the actor: 1, or less where curiosity yields."""
-        if not (self.yielding and self._has_curiosity_critic):
-            return torch.ones_like(self._hunger)
-        extrinsic, curious = self.spreads
-        return (curious / extrinsic.clamp(min=torch.finfo(extrinsic.dtype).tiny)).clamp(max=1.0)
+        """Weight of the curiosity value in the actor, at the hunger of now."""
+        return self._share_of_curiosity(self._hunger)
+
+    def seen(
+        self,
+        observation: Float[Tensor, "batch observation_dim"],
+        hunger: Hunger | None = None,
+    ) -> Float[Tensor, "batch seen_dim"]:
+        """What policy and critics are given: the observation, and behind it a dial's hunger.
+
+        Args:
+            observation: As the environment gave it.
+            hunger: One for all or one for each; the agent's own by default.
+        """
+        if not self.dial:
+            return observation
+        hunger = self._hunger if hunger is None else hunger
+        return torch.cat([observation, hunger.expand(len(observation)).unsqueeze(-1)], dim=-1)
 
     @torch.no_grad()
     def act(
-        self, observation: Float[Tensor, "batch observation_dim"], *, deterministic: bool = False
+        self,
+        observation: Float[Tensor, "batch observation_dim"],
+        *,
+        deterministic: bool = False,
+        hunger: Hunger | None = None,
     ) -> Float[Tensor, "batch action_dim"]:
-        """Draw actions in [-1, 1], or take the centre of the policy."""
+        """Draw actions in [-1, 1], or take the centre of the policy.
+
+        Args:
+            observation: Where.
+            deterministic: Take the centre.
+            hunger: On a dial, one for all or one for each; the agent's own by default.
+        """
         dtype = self.log_temperature.dtype
         check_batch("observation", observation, self.observation_dim, dtype)
-        policy = self.policy(observation)
+        policy = self.policy(self.seen(observation, hunger))
         if deterministic:
             return policy.mode
         return torch.tanh(policy.draw())
@@ -215,27 +266,51 @@ class CuriousActorCritic(nn.Module):
             )
         dtype = self.log_temperature.dtype
         check_transition(transition, self.observation_dim, self.action_dim, dtype)
-        metrics = self._update_critics(transition, bonus)
-        policy_draws, actor_metrics = self._update_actor(transition, bonus)
+        hunger = self._drawn_hunger(transition.reward) if self.dial else self._hunger
+        metrics = self._update_critics(transition, bonus, hunger)
+        policy_draws, actor_metrics = self._update_actor(transition, bonus, hunger)
         metrics |= actor_metrics | self._update_prior(policy_draws)
         metrics |= self._update_temperature(policy_draws)
         self._move_targets()
         return metrics
 
     @torch.no_grad()
-    def metrics(self) -> dict[str, Tensor]:
-        """What is too dear for every update: how far a learned prior is from uniform, in nats."""
-        metrics = {"curiosity_share": self.curiosity_share} if self._has_curiosity_critic else {}
-        if isinstance(self.prior, FlatPrior):
-            return metrics
-        generator = torch.Generator().manual_seed(0)  # leaves the global stream where it is
-        noise = torch.randn(NUM_PRIOR_DRAWS, self.action_dim, generator=generator)
-        kl = self.prior.kl_to_uniform(noise.to(self.log_temperature))
-        return metrics | {"prior_kl_to_uniform": kl}
+    def metrics(
+        self, observation: Float[Tensor, "batch observation_dim"] | None = None
+    ) -> dict[str, Tensor]:
+        """What is too dear for every update, information in nats.
 
-    def _update_critics(self, transition: Transition, bonus: Bonus | None) -> dict[str, Tensor]:
-        value = self.critics(transition.observation, transition.action)  # pairs 2 batch
-        target = self._targets(transition, bonus)  # pairs batch
+        Args:
+            observation: States as the agent meets them, over which the information that actions
+                carry about them is estimated from both sides; not told without.
+        """
+        metrics = {"hunger": self._hunger.clone()}
+        if self._has_curiosity_critic:
+            metrics["curiosity_share"] = self.curiosity_share
+        generator = torch.Generator().manual_seed(0)  # leaves the global stream where it is
+        if observation is not None:
+            policy = self.policy(self.seen(observation))
+            with torch.random.fork_rng():
+                torch.manual_seed(0)
+                information = action_information(policy, policy.draw())
+            metrics["action_information_lower"] = information.lower
+            metrics["action_information_upper"] = information.upper
+        if not isinstance(self.prior, FlatPrior):
+            noise = torch.randn(NUM_PRIOR_DRAWS, self.action_dim, generator=generator)
+            kl = self.prior.kl_to_uniform(noise.to(self.log_temperature))
+            metrics["prior_kl_to_uniform"] = kl
+        return metrics
+
+    def _drawn_hunger(self, like: Float[Tensor, " batch"]) -> Float[Tensor, " batch"]:
+        """Uniform draws, but for the ends of the dial, which are drawn as often as all between."""
+        return (2 * torch.rand_like(like) - 0.5).clamp(0.0, 1.0)
+
+    def _update_critics(
+        self, transition: Transition, bonus: Bonus | None, hunger: Hunger
+    ) -> dict[str, Tensor]:
+        seen = self.seen(transition.observation, hunger)
+        value = self.critics(seen, transition.action)  # pairs 2 batch
+        target = self._targets(transition, bonus, hunger)  # pairs batch
         loss = critic_loss(value, target.unsqueeze(1))
         self._step("critics", loss)
         value = value.detach()
@@ -248,40 +323,41 @@ class CuriousActorCritic(nn.Module):
 
     @torch.no_grad()
     def _targets(
-        self, transition: Transition, bonus: Bonus | None
+        self, transition: Transition, bonus: Bonus | None, hunger: Hunger
     ) -> Float[Tensor, "pairs batch"]:
         """Targets of the extrinsic value and, where it is learned, of the curiosity value."""
-        next_policy = self.policy(transition.next_observation)
+        next_seen = self.seen(transition.next_observation, hunger)
+        next_policy = self.policy(next_seen)
         pre_action = next_policy.draw()
-        next_value = self.target_critics.lower(transition.next_observation, torch.tanh(pre_action))
+        next_value = self.target_critics.lower(next_seen, torch.tanh(pre_action))
         if self.soft_backup:
             information_cost = next_policy.log_prob(pre_action) - self.prior.log_prob(pre_action)
             next_value[0] -= self.log_temperature.exp() * information_cost
-        rewards = [transition.reward]
+        rewards, ends = [transition.reward], transition.terminated
         if bonus is not None and self._has_curiosity_critic:
             observation, action, _, next_observation, *_ = transition
             rewards.append(bonus(observation, action, next_observation))
-        return critic_target(
-            torch.stack(rewards), transition.terminated, next_value, self.discounts
-        )
+            if not self.curiosity_episodic:
+                ends = torch.stack([ends, torch.zeros_like(ends)])
+        return critic_target(torch.stack(rewards), ends, next_value, self.discounts)
 
     def _update_actor(
-        self, transition: Transition, bonus: Bonus | None
+        self, transition: Transition, bonus: Bonus | None, hunger: Hunger
     ) -> tuple[PolicyDraws, dict[str, Tensor]]:
         """Step the policy; return its draws and what to log."""
-        policy = self.policy(transition.observation)
+        policy = self.policy(self.seen(transition.observation, hunger))
         weight = policy.log_weight.exp()
         pre_action = policy.pre_actions(torch.randn_like(policy.loc))
         information_cost = policy.log_prob(pre_action) - self.prior.log_prob(pre_action)
         value, curiosity_value = self._values(
-            transition.observation, torch.tanh(pre_action), bonus
+            transition.observation, torch.tanh(pre_action), bonus, hunger
         )
         loss = actor_loss(
             information_cost,
             value,
             curiosity_value,
             temperature=self.log_temperature.detach().exp(),
-            hunger=self._hunger,
+            hunger=hunger,
             weight=weight,
         )
         self._step("policy", loss)
@@ -297,16 +373,31 @@ class CuriousActorCritic(nn.Module):
         observation: Float[Tensor, "batch observation_dim"],
         action: Float[Tensor, "modes batch action_dim"],
         bonus: Bonus | None,
+        hunger: Hunger,
     ) -> tuple[Float[Tensor, "modes batch"], Float[Tensor, "modes batch"] | float]:
-        """Extrinsic and curiosity value of the policy's actions, for the actor to climb."""
+        """Extrinsic and weighted curiosity value of the policy's actions, to be climbed."""
         modes, batch, _ = action.shape
+        seen = self.seen(observation, hunger).repeat(modes, 1)
         observation, action = observation.repeat(modes, 1), action.flatten(0, 1)
-        value = self.critics.lower(observation, action).unflatten(-1, (modes, batch))
+        value = self.critics.lower(seen, action).unflatten(-1, (modes, batch))
         if self._has_curiosity_critic:
-            return value[0], self.curiosity_share * value[1]
-        if bonus is None:
+            curiosity_value = value[1]
+        elif bonus is not None:
+            curiosity_value = bonus(observation, action).unflatten(0, (modes, batch))
+        else:
             return value[0], 0.0
-        return value[0], bonus(observation, action).unflatten(0, (modes, batch))
+        return value[0], self._share_of_curiosity(hunger) * curiosity_value
+
+    def _share_of_curiosity(self, hunger: Hunger) -> Hunger:
+        """Weight of the curiosity value in the actor at each hunger."""
+        if not self._has_curiosity_critic:
+            ratio = torch.ones_like(self._hunger)
+        else:
+            extrinsic, curious = self.spreads
+            ratio = curious / extrinsic.clamp(min=torch.finfo(extrinsic.dtype).tiny)
+        if self.dial:
+            return self._curiosity_weight * (1 - hunger) / ratio.clamp(PARITY_FLOOR, 1.0)
+        return self._curiosity_weight * (ratio.clamp(max=1.0) if self.yielding else 1.0)
 
     def _update_prior(self, draws: PolicyDraws) -> dict[str, Tensor]:
         if isinstance(self.prior, FlatPrior):

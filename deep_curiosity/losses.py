@@ -31,7 +31,7 @@ def actor_loss(
     curiosity_value: Float[Tensor, "*modes batch"] | float,
     *,
     temperature: float | Float[Tensor, ""],
-    hunger: float | Float[Tensor, ""],
+    hunger: float | Float[Tensor, ""] | Float[Tensor, " batch"],
     weight: Float[Tensor, "*modes batch"] | float = 1.0,
 ) -> Float[Tensor, ""]:
     r"""Loss whose minimiser over policies is equation (21).
@@ -43,7 +43,7 @@ def actor_loss(
         value: Extrinsic value of each sampled action.
         curiosity_value: Curiosity value of each sampled action; 0 without curiosity.
         temperature: Price of a nat, lambda.
-        hunger: Weight of the extrinsic value, alpha.
+        hunger: Weight of the extrinsic value, alpha; one for all, or one for each.
         weight: Of each mode of the policy, where one action was drawn from every mode.
     """
     loss = temperature * information_cost - hunger * value - curiosity_value

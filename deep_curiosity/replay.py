@@ -121,6 +121,18 @@ class ReplayBuffer:
         index = torch.randint(len(self), (batch_size,), generator=self._generator)
         return self._transition(self._rows.index_select(0, index.to(self._rows.device)))
 
+    def spread(self, num_rows: int) -> Transition:
+        """Transitions at equal distances over all that is held, the same at every call.
+
+        Raises:
+            ValueError: If the buffer is empty or `num_rows` is below 1.
+        """
+        check_counts(num_rows=num_rows)
+        if len(self) == 0:
+            raise ValueError("the replay must hold a transition before it is read, got 0.")
+        index = torch.arange(num_rows, device=self._rows.device) * len(self) // num_rows
+        return self._transition(self._rows.index_select(0, index))
+
     def all(self) -> Transition:
         """Every transition held, oldest first."""
         split = self._num_added % self.capacity if self._num_added > self.capacity else 0

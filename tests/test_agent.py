@@ -331,7 +331,7 @@ def test_what_yields_is_the_curiosity_value_in_the_actor():
     agent, batch = small_agent(yielding=True), random_transition()
     agent.spreads.copy_(torch.tensor([4.0, 1.0]))
     action = batch.action.unsqueeze(0)  # of the policy's only mode
-    (value,), (curiosity_value,) = agent._values(batch.observation, action, None)
+    (value,), (curiosity_value,) = agent._values(batch.observation, action, None, torch.ones(()))
     lower = agent.critics.lower(batch.observation, batch.action)
     torch.testing.assert_close((value, curiosity_value), (lower[0], 0.25 * lower[1]))
 
@@ -443,7 +443,7 @@ def test_divergence_of_the_learned_prior_from_uniform_is_reported():
     assert torch.get_rng_state().equal(random_state)
     expected = agent.prior.kl_to_uniform(torch.randn(20_000, 2)).item()
     assert divergence.item() == pytest.approx(expected, rel=0.1) and not divergence.requires_grad
-    assert plain_agent(prior="uniform").metrics() == {}
+    assert plain_agent(prior="uniform").metrics().keys() == {"hunger"}
 
 
 def test_targets_move_by_exactly_the_share():
@@ -650,3 +650,90 @@ def test_a_policy_of_two_modes_keeps_two_ways_apart():
     action = agent.act(torch.randn(2_000, 3))[:, 0]
     assert (action.abs() > 0.8).float().mean() > 0.9
     assert 0.2 < (action > 0).float().mean() < 0.8
+
+
+def dialled_agent(**kwargs):
+    return small_agent(dial=True, **kwargs)
+
+
+def test_on_a_dial_policy_and_critics_see_the_hunger_and_nothing_else_changes():
+    agent = dialled_agent()
+    observation = torch.randn(4, 3)
+    seen = agent.seen(observation, torch.tensor([0.0, 0.25, 0.5, 1.0]))
+    assert seen[:, :3].equal(observation)
+    assert seen[:, 3].tolist() == [0.0, 0.25, 0.5, 1.0]
+    agent.hunger = 0.75
+    assert agent.seen(observation)[:, 3].tolist() == [0.75] * 4
+    plain = small_agent()
+    assert plain.seen(observation) is observation
+
+
+def test_relabelled_hungers_cover_the_dial_with_both_its_ends():
+    hunger = dialled_agent()._drawn_hunger(torch.zeros(4_000))
+    assert hunger.min() == 0 and hunger.max() == 1
+    for end in (0.0, 1.0):
+        assert (hunger == end).double().mean().item() == pytest.approx(0.25, abs=0.03)
+    inner = hunger[(hunger > 0) & (hunger < 1)]
+    assert inner.mean().item() == pytest.approx(0.5, abs=0.03)
+
+
+def test_a_dial_weighs_reward_and_curiosity_in_units_of_their_spread():
+    agent = dialled_agent()
+    hunger = torch.tensor([0.0, 0.5, 1.0])
+    agent.spreads.copy_(torch.tensor([8.0, 2.0]))
+    assert agent._share_of_curiosity(hunger).tolist() == [4.0, 2.0, 0.0]
+    agent.spreads.copy_(torch.tensor([0.5, 2.0]))  # little reward is not blown up
+    assert agent._share_of_curiosity(hunger).tolist() == [1.0, 0.5, 0.0]
+
+
+def test_one_dialled_agent_learns_to_be_greedy_and_to_be_curious():
+    """One step worlds: reward is for the left, the bonus is for the right."""
+
+    torch.manual_seed(0)
+    agent = dialled_agent(learning_rate=1e-2, temperature=0.05, tune_temperature=False)
+    bonus = PushingBonus(1.0)
+    for _ in range(300):
+        batch = random_transition()
+        ends = torch.ones_like(batch.terminated)
+        agent.update(batch._replace(reward=-batch.action[:, 0], terminated=ends), bonus)
+    observation = torch.randn(64, 3)
+    action = {
+        hunger: agent.act(observation, deterministic=True, hunger=torch.tensor(hunger))[:, 0]
+        for hunger in (0.0, 1.0)
+    }
+    assert (action[0.0] > 0.5).all()
+    assert (action[1.0] < -0.5).all()
+
+
+def test_a_dial_goes_no_further_than_one():
+    with pytest.raises(ValueError, match=r"`hunger` must lie in \[0, 1\] on a dial, got 2.0"):
+        dialled_agent(hunger=2.0)
+
+
+def test_curiosity_that_is_switched_off_does_not_move_the_actor():
+    agent = small_agent(yielding=False)
+    agent.curiosity_weight = 0.0
+    action = torch.rand(1, 8, 2)
+    _, curiosity_value = agent._values(torch.randn(8, 3), action, None, torch.ones(()))
+    assert curiosity_value.abs().max() == 0
+    with pytest.raises(ValueError, match="`curiosity_weight` must be finite and not negative"):
+        agent.curiosity_weight = -1.0
+
+
+@pytest.mark.parametrize("episodic", [True, False])
+def test_only_an_episodic_curiosity_value_ends_with_the_world(episodic):
+    agent = small_agent(curiosity_episodic=episodic, prior="learned")
+    batch = random_transition()
+    batch = batch._replace(reward=torch.zeros(32), terminated=torch.ones(32, dtype=torch.bool))
+    value, curiosity_value = agent._targets(batch, PushingBonus(0.0), torch.ones(()))
+    assert value.abs().max() == 0
+    assert (curiosity_value.abs().max() == 0) == episodic
+
+
+def test_information_of_the_actions_is_told_from_both_sides_and_leaves_the_random_stream():
+    agent, observation = small_agent(), torch.randn(64, 3)
+    random_state = torch.get_rng_state()
+    metrics = agent.metrics(observation)
+    assert torch.get_rng_state().equal(random_state)
+    assert metrics["action_information_lower"] <= metrics["action_information_upper"]
+    assert metrics["action_information_lower"] > 0

@@ -95,10 +95,17 @@ def output_of(program):
     return run.stdout.splitlines()
 
 
-@pytest.mark.parametrize("curiosity_discount", [0.97, pytest.param(0.0, marks=pytest.mark.slow)])
-def test_compiled_and_eager_updates_give_the_same_numbers(curiosity_discount):
-    options = f"OPTIONS = {{'curiosity_discount': {curiosity_discount}}}\n"
-    (error,) = output_of(options + LEARN_TWICE)
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"curiosity_discount": 0.97},
+        pytest.param({"curiosity_discount": 0.0}, marks=pytest.mark.slow),
+        pytest.param({"dial": True, "curiosity_episodic": False}, marks=pytest.mark.slow),
+    ],
+    ids=str,
+)
+def test_compiled_and_eager_updates_give_the_same_numbers(options):
+    (error,) = output_of(f"OPTIONS = {options}\n" + LEARN_TWICE)
     assert float(error) < 1e-5
 
 

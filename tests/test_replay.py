@@ -296,3 +296,15 @@ def test_several_of_unequal_number_are_refused():
     values = batch(0, 4)
     with pytest.raises(ValueError, match=r"`reward` must have shape \(4,\), got \(3,\)"):
         ReplayBuffer(8, 3, 2).extend(*values[:2], values[2][:3], *values[3:])
+
+
+def test_what_is_spread_over_replay_is_the_same_at_every_call():
+    replay = filled(6)
+    generator = replay.state_dict()["generator"]
+    assert numbers(replay.spread(3)) == [0, 2, 4]
+    assert numbers(replay.spread(12)) == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5]
+    assert replay.state_dict()["generator"].equal(generator)
+    with pytest.raises(ValueError, match="`num_rows` must be at least 1, got 0"):
+        replay.spread(0)
+    with pytest.raises(ValueError, match="must hold a transition before it is read"):
+        filled(0).spread(1)

@@ -14,11 +14,15 @@ from deep_curiosity.compilation import compiled
 from deep_curiosity.curiosity import CuriosityBonus
 from deep_curiosity.replay import ReplayBuffer
 from deep_curiosity.rivals import ConstantBonus
+from deep_curiosity.schedules import Schedule
 from deep_curiosity.training.collection import EnvironmentStep, EnvironmentSteps, as_batch
 from deep_curiosity.training.exploration import NOISES, Noise
+from deep_curiosity.training.hunger import make_keeper
 from deep_curiosity.training.machine import should_compile
 from deep_curiosity.training.settings import Settings
 from deep_curiosity.transitions import Transition
+
+NUM_DIAGNOSED_STATES = 512  # of replay, over which the information of the actions is estimated
 
 
 class Learner:
@@ -32,6 +36,7 @@ class Learner:
 
     def __init__(self, settings: Settings, observation_dim: int, action_dim: int) -> None:
         self.settings = settings
+        self.keeper = make_keeper(settings, observation_dim)
         self.agent = make_agent(settings, observation_dim, action_dim)
         self.bonus = make_run_bonus(settings, observation_dim, action_dim)
         self.agent.to(settings.device)
@@ -59,10 +64,28 @@ class Learner:
             and self.agent.log_temperature.device.type == "cpu"
             and self.noise is None
         )
+        self._temperature = make_temperature_schedule(settings)
+        self._hunger = torch.full((settings.num_envs,), self.agent.hunger)
         self._reflex = Reflex(self.agent.policy) if quick else None
         self._learn = self._learn_eagerly
         if should_compile(settings):
             self._learn = compiled(self._learn_eagerly, fall_back=settings.compile == "auto")
+
+    def turn(self, step: int, observation: np.ndarray) -> None:
+        """Set what goes with time, or with what is seen, before a step is taken.
+
+        Args:
+            step: Environment steps taken so far.
+            observation: `(observation_dim,)`, or `(num_envs, observation_dim)`.
+        """
+        hunger = self.keeper.hunger(step, np.atleast_2d(observation))
+        self._hunger = torch.as_tensor(hunger, dtype=torch.float32)
+        self.agent.hunger = float(hunger.mean())
+        if self._temperature is not None:
+            self.agent.temperature = self._temperature(step)
+        ends = self.settings.curiosity_ends
+        if ends is not None and step >= ends:
+            self.agent.curiosity_weight = 0.0
 
     def act(self, observation: np.ndarray, *, explore_uniformly: bool = False) -> np.ndarray:
         """Draw actions in [-1, 1] from the policy, or from the whole action box.
@@ -76,21 +99,35 @@ class Learner:
             return (2 * torch.rand(shape) - 1).numpy()
         if self._reflex is not None and observation.ndim == 1:
             noise = torch.randn(self.agent.action_dim).numpy()
-            return self._reflex.act(observation.astype(np.float32), noise)
+            seen = observation.astype(np.float32)
+            if self.agent.dial:
+                seen = np.append(seen, self._hunger.numpy())
+            return self._reflex.act(seen, noise)
         batch = as_batch(observation).to(self.settings.device)
-        action = self.agent.act(batch) if self.noise is None else self._explore(batch, self.noise)
+        hunger = self._hunger.to(self.settings.device)
+        if self.noise is None:
+            action = self.agent.act(batch, hunger=hunger)
+        else:
+            action = self._explore(self.agent.seen(batch, hunger), self.noise)
         return action.reshape(shape).cpu().numpy()
 
     @torch.no_grad()
-    def _explore(self, observation: Tensor, noise: Noise) -> Tensor:
+    def _explore(self, seen: Tensor, noise: Noise) -> Tensor:
         """Actions of the policy under a noise that is not its own."""
-        hidden = self.agent.policy.hidden(observation)
+        hidden = self.agent.policy.hidden(seen)
         drawn = noise.draw(hidden).to(hidden.device)
         return torch.tanh(self.agent.policy.at(hidden).pre_actions(drawn.unsqueeze(0)))[0]
 
     def act_deterministically(self, observation: Tensor) -> Tensor:
-        """Centre of the policy at each observation."""
-        return self.agent.act(observation.to(self.settings.device), deterministic=True).cpu()
+        """Centre of the policy at each observation, at the hunger of an evaluation."""
+        hunger = torch.as_tensor(
+            self.keeper.in_evaluation(observation.numpy()), dtype=torch.float32
+        )
+        return self.agent.act(
+            observation.to(self.settings.device),
+            deterministic=True,
+            hunger=hunger.to(self.settings.device),
+        ).cpu()
 
     def store(self, step: EnvironmentStep | EnvironmentSteps) -> None:
         """Keep the step of one world, or of several, in replay."""
@@ -98,8 +135,10 @@ class Learner:
             self.replay.extend(*step)
         else:
             self.replay.add(*step)
+        ended = np.atleast_1d(np.logical_or(step.terminated, step.truncated))
+        self.keeper.saw(np.atleast_1d(step.reward), ended)
         if self.noise is not None:
-            for world in np.flatnonzero(np.logical_or(step.terminated, step.truncated)):
+            for world in np.flatnonzero(ended):
                 self.noise.begin(int(world))
 
     def update(self) -> dict[str, Tensor]:
@@ -119,7 +158,8 @@ class Learner:
 
     def diagnostics(self) -> dict[str, Tensor]:
         """What agent and bonus say of themselves; costs a few milliseconds."""
-        metrics = {f"agent/{name}": value for name, value in self.agent.metrics().items()}
+        visited = self.replay.spread(NUM_DIAGNOSED_STATES).observation
+        metrics = {f"agent/{name}": value for name, value in self.agent.metrics(visited).items()}
         if self.bonus is not None:
             metrics |= {f"curiosity/{name}": value for name, value in self.bonus.metrics().items()}
         return metrics
@@ -130,6 +170,7 @@ class Learner:
             "agent": self.agent.state_dict(),
             "bonus": {} if self.bonus_learner is None else self.bonus_learner.state_dict(),
             "noise": {} if self.noise is None else self.noise.state_dict(),
+            "keeper": self.keeper.state_dict(),
             "replay": self.replay.state_dict(),
             "random": torch.get_rng_state(),
         }
@@ -141,6 +182,7 @@ class Learner:
             self.bonus_learner.load_state_dict(state["bonus"])
         if self.noise is not None:
             self.noise.load_state_dict(state["noise"])
+        self.keeper.load_state_dict(state["keeper"])
         self.replay.load_state_dict(state["replay"])
         torch.set_rng_state(state["random"])
 
@@ -155,15 +197,28 @@ def make_agent(settings: Settings, observation_dim: int, action_dim: int) -> Cur
         discount=settings.discount,
         curiosity=settings.bonus != "none",
         curiosity_discount=settings.curiosity_discount,
+        curiosity_episodic=settings.curiosity_episodic,
         hunger=settings.hunger,
+        dial=settings.has_dial,
         yielding=settings.yielding,
         prior=settings.prior,
         temperature=settings.temperature,
-        tune_temperature=settings.tune_temperature,
+        tune_temperature=settings.temperature_control == "rate",
         target_information_rate=settings.target_information_rate,
         learning_rate=settings.learning_rate,
         polyak=settings.polyak,
     )
+
+
+def make_temperature_schedule(settings: Settings) -> Schedule | None:
+    """Schedule of the temperature, `None` where it stays or is tuned."""
+    match settings.temperature_control:
+        case "rate" | "constant":
+            return None
+        case shape:
+            return Schedule(
+                settings.temperature, settings.final_temperature, settings.total_steps, shape
+            )
 
 
 def make_run_bonus(settings: Settings, observation_dim: int, action_dim: int) -> Bonus | None:

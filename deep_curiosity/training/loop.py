@@ -41,6 +41,7 @@ def train(settings: Settings, *, show_progress: bool = True) -> dict[str, Any]:
         while not run.finished and not interruption.requested:
             step_started = time.perf_counter()
             learning = history.step >= settings.learning_starts
+            learner.turn(history.step, collector.observation)
             history.step += settings.num_envs
 
             # (d) Choose an action, obtain reward and next state; both are kept as they are

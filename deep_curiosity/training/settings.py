@@ -60,15 +60,32 @@ class Settings:
     """Noise of the actions: the policy's own draws, or draws that hang together in time: linear in
     the policy's last hidden layer (gSDE), pink, or an Ornstein-Uhlenbeck process."""
     hunger: float = 1.0
-    """Weight of the extrinsic value, alpha."""
+    """Weight of the extrinsic value, alpha; the first one where it goes with time."""
+    hunger_control: Literal[
+        "constant", "linear", "exponential", "dial", "draws", "bandit", "battery"
+    ] = "constant"
+    """Who says how hungry the agent is: it stays; it goes to final_hunger; or policy and critics
+    are told it and learn every hunger from 0 to 1 at once, where it is held, drawn for each
+    episode, chosen by a bandit for what it earns, or read off a battery in the observation."""
+    final_hunger: float = 10.0
+    """Hunger at the end of a schedule."""
+    battery: int = -1
+    """Entry of the observation that holds the charge of the battery, from 0 to 1."""
+    curiosity_ends: int | None = None
+    """Step from which only reward counts; by default none."""
+    curiosity_episodic: bool = True
+    """End the curiosity value where the world ends; otherwise it looks past the end."""
     yielding: bool = True
     """Let curiosity fade as reward comes to tell states apart."""
     prior: Literal["uniform", "learned"] = "uniform"
     """Action prior: flat as in soft actor-critic, or the learned action marginal."""
     temperature: float = 0.02
     """Price of a nat, lambda; the initial one where it is tuned."""
-    tune_temperature: bool = True
-    """Adjust the temperature to hold the target information rate."""
+    temperature_control: Literal["rate", "constant", "linear", "exponential", "annealing"] = "rate"
+    """What the temperature does: hold the target information rate; stay; or go to
+    final_temperature, straight, by the same factor at every step, or so in ten plateaus."""
+    final_temperature: float = 0.002
+    """Temperature at the end of a schedule, lambda_min."""
     target_information_rate: float | None = None
     """Nats per action away from the prior; by default 1.69 (uniform) or 1 (learned) per action
     dimension."""
@@ -123,6 +140,11 @@ class Settings:
     matmul_precision: Literal["auto", "highest", "high", "medium"] = "auto"
     """Torch's switch for float32 matrix products; auto takes the fastest that is float32."""
 
+    @property
+    def has_dial(self) -> bool:
+        """Whether policy and critics are told the hunger."""
+        return self.hunger_control in ("dial", "draws", "bandit", "battery")
+
     def __post_init__(self) -> None:
         """Reject what no run could be made of.
 
@@ -133,7 +155,7 @@ class Settings:
             value = getattr(self, setting.name)
             if (
                 setting.type is int
-                and setting.name not in ("seed", "learning_starts")
+                and setting.name not in ("seed", "learning_starts", "battery")
                 and value < 1
             ):
                 raise ValueError(f"`{setting.name}` must be at least 1, got {value}.")
@@ -159,6 +181,17 @@ class Settings:
             raise ValueError(
                 f"`curiosity_discount` must be above 0 for the bonus {self.bonus}, which has no "
                 "gradient in the action, got 0."
+            )
+        for name, control in (
+            ("final_hunger", self.hunger_control),
+            ("final_temperature", self.temperature_control),
+        ):
+            if control in ("linear", "exponential", "annealing") and getattr(self, name) <= 0:
+                raise ValueError(f"`{name}` must be positive, got {getattr(self, name)}.")
+        if self.has_dial and self.bonus == "none":
+            raise ValueError(
+                "`hunger_control` must be 'constant', 'linear' or 'exponential' without a bonus, "
+                f"got {self.hunger_control!r}."
             )
         if self.update_to_data <= 0:
             raise ValueError(f"`update_to_data` must be positive, got {self.update_to_data}.")

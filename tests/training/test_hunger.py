@@ -1,0 +1,172 @@
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from deep_curiosity.training import Settings, train
+from deep_curiosity.training.checkpoint import load_checkpoint
+from deep_curiosity.training.hunger import Bandit, Battery, Drawn, Scheduled, make_keeper
+from deep_curiosity.training.learner import Learner
+
+NOTHING = np.zeros((1, 3))
+GOES_ON = np.array([False])
+
+
+def arms_held(bandit, reward_of, num_steps):
+    """Hunger at each step of a world that pays what the hunger earns."""
+    held = []
+    for step in range(num_steps):
+        (hunger,) = bandit.hunger(step, NOTHING)
+        held.append(hunger)
+        bandit.saw(np.array([reward_of(hunger)]), GOES_ON)
+    return np.array(held)
+
+
+def test_a_bandit_goes_where_reward_is():
+    torch.manual_seed(0)
+    held = arms_held(Bandit(segment=10), lambda hunger: hunger, 1_000)
+    assert set(held[:30]) == {0.0, 0.5, 1.0}
+    assert (held[500:] == 1.0).mean() > 0.6
+
+
+def test_a_bandit_follows_reward_to_another_arm():
+    torch.manual_seed(0)
+    bandit = Bandit(segment=10)
+    arms_held(bandit, lambda hunger: hunger, 500)
+    held = arms_held(bandit, lambda hunger: 1 - hunger, 1_000)
+    assert (held[500:] == 0.0).mean() > 0.6
+
+
+def test_a_bandit_that_earns_nothing_lets_all_arms_take_turns():
+    torch.manual_seed(0)
+    held = arms_held(Bandit(segment=10), lambda hunger: 0.0, 900)
+    shares = [(held == arm).mean() for arm in (0.0, 0.5, 1.0)]
+    assert shares == pytest.approx([1 / 3] * 3, abs=0.05)
+
+
+def test_a_restored_bandit_goes_on_as_if_it_had_not_stopped():
+    torch.manual_seed(0)
+    bandit = Bandit(segment=7)
+    arms_held(bandit, lambda hunger: hunger, 100)
+    restored = Bandit(segment=7)
+    restored.load_state_dict(bandit.state_dict())
+    courses = []
+    for each in (bandit, restored):
+        torch.manual_seed(1)
+        courses.append(arms_held(each, lambda hunger: 1 - hunger, 200))
+    assert np.array_equal(*courses)
+
+
+def test_draws_are_held_for_an_episode_in_each_world():
+    torch.manual_seed(0)
+    drawn = Drawn(num_envs=2, hungers=(0.0, 0.25, 0.5, 0.75, 1.0))
+    courses = []
+    for _ in range(60):
+        courses.append(drawn.hunger(0, np.zeros((2, 3))).copy())
+        for step in range(5):
+            drawn.saw(np.zeros(2), np.array([step == 4, False]))
+    courses = np.array(courses)
+    assert set(courses[:, 0]) == {0.0, 0.25, 0.5, 0.75, 1.0}
+    assert len(set(courses[:, 1])) == 1
+
+
+def test_an_empty_battery_makes_hungry_in_training_and_evaluation():
+    battery = Battery(-1, observation_dim=2)
+    observation = np.array([[5.0, 1.0], [5.0, 0.25], [5.0, 0.0]])
+    assert battery.hunger(0, observation).tolist() == [0.0, 0.75, 1.0]
+    assert battery.in_evaluation(observation).tolist() == [0.0, 0.75, 1.0]
+
+
+def test_a_battery_must_be_in_the_observation():
+    with pytest.raises(ValueError, match="`battery` must be an entry of an observation of 3, got"):
+        make_keeper(Settings(hunger_control="battery", battery=3), observation_dim=3)
+
+
+@pytest.mark.parametrize("control", ["linear", "exponential"])
+def test_a_schedule_goes_from_hunger_to_final_hunger(control):
+    settings = Settings(
+        hunger_control=control, hunger=0.5, final_hunger=8.0, total_steps=100, num_envs=2
+    )
+    keeper = make_keeper(settings, 3)
+    assert isinstance(keeper, Scheduled)
+    assert keeper.hunger(0, np.zeros((2, 3))).tolist() == [0.5, 0.5]
+    assert keeper.hunger(100, np.zeros((2, 3))) == pytest.approx(8.0)
+
+
+def test_what_goes_with_time_is_set_before_a_step(tiny):
+    settings = replace(
+        tiny,
+        hunger_control="linear",
+        final_hunger=3.0,
+        temperature_control="exponential",
+        temperature=1.0,
+        final_temperature=0.01,
+        curiosity_ends=50,
+        total_steps=100,
+    )
+    learner = Learner(settings, 3, 1)
+    learner.turn(49, np.zeros(3))
+    assert learner.agent.curiosity_weight == 1.0
+    learner.turn(50, np.zeros(3))
+    assert learner.agent.hunger == pytest.approx(2.0)
+    assert learner.agent.temperature == pytest.approx(0.1)
+    assert learner.agent.curiosity_weight == 0.0
+
+
+@pytest.mark.parametrize("num_envs", [1, 2])
+def test_the_policy_acts_as_hungry_as_the_dial_says(tiny, num_envs):
+    settings = replace(tiny, hunger_control="dial", num_envs=num_envs)
+    learner = Learner(settings, 3, 1)
+    with torch.no_grad():
+        layers = learner.agent.policy.network.layers
+        for layer in layers:
+            layer.bias.zero_()
+        layers[0].weight[0, -1] = 100.0  # hunger alone moves the action
+        layers[-1].weight[..., 0] = 1.0
+        layers[-1].bias[..., 1] = -9.0
+    actions = []
+    for hunger in (0.0, 1.0):
+        object.__setattr__(settings, "hunger", hunger)
+        observation = np.zeros(3) if num_envs == 1 else np.zeros((num_envs, 3))
+        learner.turn(0, observation)
+        actions.append(learner.act(observation))
+    assert (abs(actions[0] - actions[1]) > 0.5).all()
+    greedy = learner.act_deterministically(torch.zeros(1, 3))
+    assert greedy.item() == pytest.approx(actions[1].flat[0], abs=0.1)
+
+
+@pytest.mark.parametrize("control", ["draws", "bandit"])
+def test_a_resumed_run_goes_on_with_its_keeper(tiny, tmp_path, control):
+    dialled = replace(tiny, hunger_control=control, total_steps=60)
+    train(dialled, show_progress=False)
+    halves = replace(dialled, out=tmp_path / "halves")
+    train(replace(halves, total_steps=30), show_progress=False)
+    train(Settings(resume=halves.out, total_steps=60), show_progress=False)
+    whole, resumed = (load_checkpoint(run.out)["learner"] for run in (dialled, halves))
+    assert whole["keeper"] == resumed["keeper"] != {}
+    assert torch.equal(whole["replay"]["rows"], resumed["replay"]["rows"])
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (
+            {"hunger_control": "bandit", "bonus": "none"},
+            "`hunger_control` must be .* got 'bandit'",
+        ),
+        ({"hunger_control": "dial", "hunger": 2.0}, r"`hunger` must lie in \[0, 1\] on a dial"),
+        ({"hunger_control": "linear", "hunger": 0.0}, "`first` must be finite and positive"),
+        ({"hunger_control": "linear", "final_hunger": 0.0}, "`final_hunger` must be positive"),
+        ({"hunger_control": "battery", "battery": 7}, "`battery` must be an entry of"),
+        (
+            {"temperature_control": "linear", "final_temperature": -1.0},
+            "`final_temperature` must be positive, got -1.0",
+        ),
+    ],
+    ids=str,
+)
+def test_a_control_that_cannot_be_is_named(tiny, change, message):
+    with pytest.raises(ValueError, match=message):
+        train(replace(tiny, **change), show_progress=False)
+    assert not tiny.out.exists()
