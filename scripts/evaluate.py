@@ -10,7 +10,7 @@ import tyro
 
 from deep_curiosity.training.collection import evaluate
 from deep_curiosity.training.environments import make_environment
-from deep_curiosity.training.playback import load_agent, record_episode, write_video
+from deep_curiosity.training.playback import load_policy, record_episode, write_video
 from deep_curiosity.training.records import read_settings
 
 
@@ -24,9 +24,11 @@ class Args:
     """Episodes to play."""
     seed: int = 7
     """Of the resets."""
+    hunger: tuple[float, ...] = ()
+    """Of a run with a dial: one or several to play with, 0 purely curious to 1 purely greedy."""
     video: Path | None = None
-    """File for a video of the first episode, .mp4 or .gif; needs MUJOCO_GL=egl or osmesa on a
-    machine without a screen."""
+    """File for a video of the first episode, at the last hunger, .mp4 or .gif; needs MUJOCO_GL=egl
+    or osmesa on a machine without a screen."""
 
 
 def main() -> None:
@@ -42,19 +44,16 @@ def play(args: Args) -> None:
     """Print returns, and write the video."""
     settings = read_settings(args.folder)
     environment = make_environment(settings.env_id, settings.env_kwargs)
-    agent = load_agent(args.folder, settings, environment)
-    episodes = evaluate(
-        lambda observation: agent.act(observation, deterministic=True),
-        environment,
-        episodes=args.episodes,
-        seed=args.seed,
-    )
-    returns = [episode.episode_return for episode in episodes]
-    spread = statistics.stdev(returns) if len(returns) > 1 else 0.0
-    print(f"{settings.env_id}: return {statistics.mean(returns):.2f} +- {spread:.2f}")
+    for hunger in args.hunger or (None,):
+        act = load_policy(args.folder, settings, environment, hunger=hunger)
+        episodes = evaluate(act, environment, episodes=args.episodes, seed=args.seed)
+        returns = [episode.episode_return for episode in episodes]
+        spread = statistics.stdev(returns) if len(returns) > 1 else 0.0
+        at = "" if hunger is None else f" at hunger {hunger:g}"
+        print(f"{settings.env_id}{at}: return {statistics.mean(returns):.2f} +- {spread:.2f}")
     if args.video is not None:
         screen = make_environment(settings.env_id, settings.env_kwargs, render_mode="rgb_array")
-        frames = record_episode(agent, screen, seed=args.seed)
+        frames = record_episode(act, screen, seed=args.seed)
         write_video(args.video, frames, fps=screen.metadata.get("render_fps", 30))
         screen.close()
         print(f"video of {len(frames)} frames in {args.video}")

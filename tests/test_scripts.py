@@ -33,6 +33,24 @@ def test_train_resume_and_evaluate(tmp_path):
     assert "deep_curiosity/PointMaze-v0" in evaluated.stdout or "return" in evaluated.stdout
 
 
+def test_a_dial_is_swept(tmp_path):
+    out = tmp_path / "run"
+    options = ("--env-id", "ReacherSparse", *TINY, "--out", out)
+    assert run("train.py", *options, "--hunger-control", "draws").returncode == 0
+    swept = run("evaluate.py", out, "--episodes", 1, "--hunger", 0, 0.5, 1)
+    told = [line.partition(": return")[0].split()[-1] for line in swept.stdout.splitlines()]
+    assert told == ["0", "0.5", "1"]
+    refused = run("evaluate.py", out, "--hunger", 2)
+    assert "error: `hunger` must lie in [0, 1] on a dial, got 2.0" in refused.stderr
+
+
+def test_a_run_without_a_dial_is_played_at_no_other_hunger(tmp_path):
+    out = tmp_path / "run"
+    assert run("train.py", "--env-id", "ReacherSparse", *TINY, "--out", out).returncode == 0
+    refused = run("evaluate.py", out, "--hunger", 0.5)
+    assert "error: `hunger` can only be chosen where the run has a dial" in refused.stderr
+
+
 def test_a_video_is_written_where_something_renders(tmp_path):
     out, video = tmp_path / "run", tmp_path / "video.gif"
     assert run("train.py", "--env-id", "ReacherSparse", *TINY, "--out", out).returncode == 0

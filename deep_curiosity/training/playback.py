@@ -1,18 +1,24 @@
 """Playing a trained agent back: its weights from a checkpoint, its episodes as video."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import gymnasium
 import imageio.v2 as imageio
 import numpy as np
+import torch
 from numpy.typing import NDArray
+from torch import Tensor
 
 from deep_curiosity.agent import CuriousActorCritic
 from deep_curiosity.training.checkpoint import load_checkpoint
 from deep_curiosity.training.collection import Collector, Episode, as_batch
 from deep_curiosity.training.environments import action_dim, observation_dim
+from deep_curiosity.training.hunger import make_keeper
 from deep_curiosity.training.learner import make_agent
 from deep_curiosity.training.settings import Settings
+
+Policy = Callable[[Tensor], Tensor]  # (batch, observation_dim) to (batch, action_dim)
 
 
 def load_agent(folder: Path, settings: Settings, environment: gymnasium.Env) -> CuriousActorCritic:
@@ -26,13 +32,50 @@ def load_agent(folder: Path, settings: Settings, environment: gymnasium.Env) -> 
     return agent
 
 
-def record_episode(
-    agent: CuriousActorCritic, environment: gymnasium.Env, *, seed: int
-) -> list[NDArray[np.uint8]]:
-    """Frames, height x width x RGB, of one episode of the deterministic policy.
+def load_policy(
+    folder: Path, settings: Settings, environment: gymnasium.Env, *, hunger: float | None = None
+) -> Policy:
+    """Deterministic policy of a run, as its newest checkpoint has it.
 
     Args:
-        agent: Whose policy is played.
+        folder: Of a finished or interrupted run.
+        settings: Of the run.
+        environment: To be acted in.
+        hunger: Of a run with a dial, in [0, 1]; by default as in the run's own evaluations.
+
+    Raises:
+        FileNotFoundError: If the folder holds no readable checkpoint.
+        ValueError: If a hunger is given that the agent cannot be told.
+    """
+    if hunger is not None and not settings.has_dial:
+        raise ValueError(
+            "`hunger` can only be chosen where the run has a dial (--hunger-control dial, draws, "
+            f"bandit or battery), got {hunger} for {settings.hunger_control!r}."
+        )
+    agent = load_agent(folder, settings, environment)
+    keeper = make_keeper(settings, agent.observation_dim)
+    if hunger is not None:
+        agent.hunger = hunger  # which checks it
+
+    def act(observation: Tensor) -> Tensor:
+        hungers = (
+            np.full(len(observation), hunger)
+            if hunger is not None
+            else keeper.in_evaluation(observation.numpy())
+        )
+        told = torch.as_tensor(hungers, dtype=torch.float32)
+        return agent.act(observation, deterministic=True, hunger=told)
+
+    return act
+
+
+def record_episode(
+    act: Policy, environment: gymnasium.Env, *, seed: int
+) -> list[NDArray[np.uint8]]:
+    """Frames, height x width x RGB, of one episode.
+
+    Args:
+        act: The policy that is played.
         environment: Made with `render_mode="rgb_array"`.
         seed: Of the reset.
     """
@@ -40,7 +83,7 @@ def record_episode(
     frames = [_frame(environment)]
     finished: list[Episode] = []
     while not finished:
-        action = agent.act(as_batch(collector.observation), deterministic=True)[0].numpy()
+        action = act(as_batch(collector.observation))[0].numpy()
         _, finished = collector.step(action)
         if not finished:
             frames.append(_frame(environment))
