@@ -11,10 +11,12 @@ Example:
 
 import gymnasium
 
-from deep_curiosity_envs.cartpole import CartpoleSwingup
+from deep_curiosity_envs.battery_rover import BatteryRover
+from deep_curiosity_envs.cartpole import CartpoleHiddenVelocity, CartpoleSwingup
 from deep_curiosity_envs.illustrations import CleverRandom, ReliableUnreliable
 from deep_curiosity_envs.mujoco_task import MujocoTask
-from deep_curiosity_envs.pendulum import PendulumSwingup
+from deep_curiosity_envs.noisy_room import NoisyRoom
+from deep_curiosity_envs.pendulum import ManyMotors, PendulumHiddenVelocity, PendulumSwingup
 from deep_curiosity_envs.point_maze import PointMaze
 from deep_curiosity_envs.reacher import ReacherSparse
 from deep_curiosity_envs.vector import MujocoVectorEnv
@@ -22,10 +24,15 @@ from deep_curiosity_envs.vector import MujocoVectorEnv
 __all__ = [
     "ILLUSTRATION_IDS",
     "TASK_IDS",
+    "BatteryRover",
+    "CartpoleHiddenVelocity",
     "CartpoleSwingup",
     "CleverRandom",
+    "ManyMotors",
     "MujocoTask",
     "MujocoVectorEnv",
+    "NoisyRoom",
+    "PendulumHiddenVelocity",
     "PendulumSwingup",
     "PointMaze",
     "ReacherSparse",
@@ -38,6 +45,11 @@ _EPISODE_STEPS: dict[type[MujocoTask], int] = {
     CartpoleSwingup: 200,
     PointMaze: 300,
     ReacherSparse: 100,
+    PendulumHiddenVelocity: 200,
+    CartpoleHiddenVelocity: 200,
+    ManyMotors: 200,
+    NoisyRoom: 300,
+    BatteryRover: 300,
 }
 
 

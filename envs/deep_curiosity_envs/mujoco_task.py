@@ -35,7 +35,9 @@ class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
     What a task sees, pays and tells is a function of `qpos`, `qvel` and `mocap_pos`, and is
     written for any number of worlds: their axis, where there is one, comes first, so that
     coordinates are taken from the right, `self.qpos[..., 0]`. Here these are the arrays of the one
-    world in `data`; `over` gives the same task of many.
+    world in `data`; `over` gives the same task of many. What a task remembers beyond the physics,
+    such as the charge of a battery, is kept in the `mocap_pos` of a body that nothing touches, and
+    goes on in `advance`.
 
     Args:
         model: The compiled MuJoCo model; every actuator has the control range [-1, 1].
@@ -91,6 +93,13 @@ class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
     def get_reward(self) -> Array64:
         """Reward of the present state in [0, 1], without the action's cost, `(*worlds,)`."""
 
+    def advance(self, control: Array64) -> None:
+        """Let what the task itself remembers go one control step on; by default nothing.
+
+        Args:
+            control: The clipped actions, `(*worlds, action_dim)`.
+        """
+
     def is_success(self) -> Array:
         """Whether the task has been solved in this episode, `(*worlds,)`."""
         return self.hold.achieved
@@ -121,6 +130,7 @@ class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
         Returns:
             Observation, reward, whether the episode has terminated, and info.
         """
+        self.advance(control)
         reward = self.get_reward()
         self.hold.update(reward == 1.0)
         cost = self.action_cost * np.square(control).sum(-1) / control.shape[-1]

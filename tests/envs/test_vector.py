@@ -63,13 +63,13 @@ def test_every_step_is_that_of_the_single_environments(task_id, action_cost):
     native = make(task_id, action_cost=action_cost)
     reference = make_reference(task_id, action_cost=action_cost)
     assert_same(native.reset(seed=7)[0], reference.reset(seed=7)[0])
-    num_truncated = 0
+    num_ended = 0
     for action in pushes(native):
         step, expected = native.step(action), reference.step(action)
-        num_truncated += step[3].sum()
+        num_ended += (step[2] | step[3]).sum()
         for one, other in zip(step, expected, strict=True):
             assert_same(one, other)
-    assert num_truncated >= NUM_ENVS
+    assert num_ended >= NUM_ENVS
 
 
 def test_without_contact_every_bit_is_that_of_the_single_environment():
@@ -191,7 +191,7 @@ def test_what_has_no_meaning_is_named(kwargs, message):
 def test_bad_actions_seeds_and_masks_are_named(task_id):
     native = make(task_id)
     native.reset(seed=0)
-    with pytest.raises(ValueError, match=r"`action` must have shape \(4, .\), got shape \(7,\)"):
+    with pytest.raises(ValueError, match=r"`action` must have shape \(4, \d+\), got shape \(7,\)"):
         native.step(np.zeros(7))
     with pytest.raises(ValueError, match="`action` must be finite"):
         native.step(np.full(native.action_space.shape, np.nan))
