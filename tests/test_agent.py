@@ -737,3 +737,37 @@ def test_information_of_the_actions_is_told_from_both_sides_and_leaves_the_rando
     assert torch.get_rng_state().equal(random_state)
     assert metrics["action_information_lower"] <= metrics["action_information_upper"]
     assert metrics["action_information_lower"] > 0
+
+
+@pytest.mark.parametrize("factor", [pytest.param(0.01, marks=pytest.mark.slow), 100.0])
+def test_the_rate_is_held_from_any_start_within_a_factor_of_a_hundred(factor):
+    """One step worlds, in which the best action is a linear function of the state."""
+    torch.manual_seed(0)
+    right, target = 0.035, 1.0
+    agent = CuriousActorCritic(
+        1,
+        1,
+        hidden_dims=(32,),
+        curiosity=False,
+        prior="learned",
+        temperature=factor * right,
+        target_information_rate=target,
+        learning_rate=1e-2,
+        polyak=0.1,
+    )
+    rates, prices = [], []
+    for _ in range(1_500):
+        observation = 2 * torch.rand(128, 1) - 1
+        with torch.no_grad():
+            action = agent.act(observation)
+        ends = torch.ones(128, dtype=torch.bool)
+        reward = -(action - 0.8 * observation).square().squeeze(-1)
+        batch = Transition(observation, action, reward, observation, ends, ~ends)
+        metrics = agent.update(batch)
+        rates.append(metrics["information_rate"].item())
+        prices.append(metrics["temperature"].item())
+    settled = rates[-500:]
+    assert sum(settled) / 500 == pytest.approx(target, rel=0.15)
+    information = agent.metrics(2 * torch.rand(512, 1) - 1)
+    assert information["action_information_lower"].item() == pytest.approx(target, rel=0.15)
+    assert right / 2 < sum(prices[-500:]) / 500 < 2 * right
