@@ -15,15 +15,19 @@ from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
 from deep_curiosity.training import Settings
-from deep_curiosity.training.collection import Collector, as_batch
+from deep_curiosity.training.checkpoint import load_checkpoint
+from deep_curiosity.training.collection import Collector, Episode, as_batch
 from deep_curiosity.training.environments import make_environment
 from deep_curiosity.training.playback import load_agent
 from deep_curiosity.training.records import read_progress
 from deep_curiosity.training.study import median_and_range, run_once, write_table
+from deep_curiosity_envs.room import CELLS_PER_SIDE
 
 Row = dict[str, Any]
 HUNGERS = np.linspace(0, 1, 11).tolist()
 SWEPT_EPISODES = 10
+LAST_EPISODES = 20
+ROVER_STEPS = 300  # of an episode that does not starve
 GRID = (24, 16)  # cells of the pendulum's angle and speed
 
 SMALL = Settings(hidden_dim=64, log_interval=500, evaluation_interval=2_000)
@@ -38,16 +42,14 @@ class Dial:
 
     Args:
         settings: Name of each task to the settings of its runs.
-        name: Setting that is the dial; a run for each of its values.
-        values: Of the dial.
+        places: Where the dial is put, to the settings that put it there.
         measure: From the settings of a run, which it sees to, to rows of `columns`.
         columns: What is measured; each is drawn against `x`.
-        x: Column along which the picture goes.
+        x: Column along which the picture goes: the place, or one that is measured.
     """
 
     settings: Mapping[str, Settings]
-    name: str
-    values: Sequence[Any]
+    places: Mapping[float | str, Mapping[str, Any]]
     measure: Callable[[Settings], list[Row]]
     columns: Sequence[str]
     x: str
@@ -110,6 +112,23 @@ def measure_sweep(settings: Settings) -> list[Row]:
     return rows
 
 
+def measure_survival(settings: Settings) -> list[Row]:
+    """How many of a run's last episodes ended with an empty battery, and the cells seen in them."""
+    summary = run_once(settings)
+    state = load_checkpoint(settings.out)
+    episodes = [Episode(*values) for values in state["history"]["episodes"][-LAST_EPISODES:]]
+    steps = sum(episode.length for episode in episodes)
+    position = state["learner"]["replay"]["rows"][-steps:, :2].numpy()
+    cells = np.floor(np.clip((position + 1) / 2, 0, 1 - 1e-6) * CELLS_PER_SIDE).astype(int)
+    return [
+        {
+            "starved": sum(episode.length < ROVER_STEPS for episode in episodes),
+            "coverage": len(np.unique(cells, axis=0)) / CELLS_PER_SIDE**2,
+            "mean_training_return": summary["mean_training_return"],
+        }
+    ]
+
+
 def pendulum_cell(observation: np.ndarray) -> tuple[int, int]:
     """Cell of the pendulum's angle and speed that an observation lies in."""
     cosine, sine, speed = observation
@@ -124,27 +143,35 @@ DIALS = {
             "PendulumSwingup": replace(PENDULUM, prior="learned", update_to_data=0.5),
             "HalfCheetah-v5": replace(CHEETAH, prior="learned", update_to_data=0.5),
         },
-        "target_information_rate",
-        (0.5, 1.0, 2.0, 4.0),
+        {rate: {"target_information_rate": rate} for rate in (0.5, 1.0, 2.0, 4.0)},
         measure_rate,
         ("rate", "lower", "upper", "return"),
-        x="target_information_rate",
+        x="target rate",
     ),
     "hunger": Dial(
         {"PendulumSwingup": replace(PENDULUM, total_steps=16_000)},
-        "hunger_control",
-        ("draws",),
+        {"draws": {"hunger_control": "draws"}},
         measure_sweep,
         ("return", "coverage"),
         x="hunger",
     ),
     "horizon": Dial(
         {"PendulumSwingup": replace(PENDULUM, total_steps=16_000), "PointMaze": MAZE},
-        "curiosity_discount",
-        (0.0, 0.5, 0.9, 0.97, 0.99),
+        {discount: {"curiosity_discount": discount} for discount in (0.0, 0.5, 0.9, 0.97, 0.99)},
         measure_return,
         ("return", "mean_training_return", "coverage"),
-        x="curiosity_discount",
+        x="curiosity discount",
+    ),
+    "battery": Dial(
+        {"BatteryRover": replace(SMALL, env_id="BatteryRover", total_steps=20_000)},
+        {
+            "purely curious": {"hunger_control": "dial", "hunger": 0.0},
+            "battery": {"hunger_control": "battery"},
+            "purely greedy": {"hunger_control": "dial", "hunger": 1.0},
+        },
+        measure_survival,
+        ("starved", "coverage", "mean_training_return"),
+        x="who turns the dial",
     ),
 }
 
@@ -153,9 +180,9 @@ DIALS = {
 class Args:
     """Which dial, and where."""
 
-    dial: Literal["rate", "hunger", "horizon"]
+    dial: Literal["rate", "hunger", "battery", "horizon"]
     """Information rate that the temperature holds; hunger of one agent that has learned them all;
-    how far curiosity looks ahead."""
+    the same turned by a battery; how far curiosity looks ahead."""
     seeds: int = 5
     """Runs at each value."""
     runs: Path = Path("runs/dials")
@@ -171,25 +198,25 @@ def main() -> None:
     args = tyro.cli(Args, description=__doc__)
     dial = DIALS[args.dial]
     cells = [
-        (task, value, seed)
+        (task, place, seed)
         for seed in range(args.seeds)
         for task in dial.settings
-        for value in dial.values
+        for place in dial.places
     ]
     jobs = [
         replace(
             dial.settings[task],
-            **{dial.name: value},
+            **dial.places[place],
             seed=seed,
-            out=args.runs / args.dial / task / f"{value}" / f"seed{seed}",
+            out=args.runs / args.dial / task / f"{place}" / f"seed{seed}",
         )
-        for task, value, seed in cells
+        for task, place, seed in cells
     ]
     with ProcessPoolExecutor(args.workers, mp_context=get_context("spawn")) as pool:
         measured = list(pool.map(dial.measure, jobs))
     rows = [
-        {"task": task, dial.name: value, "seed": seed} | row
-        for (task, value, seed), own in zip(cells, measured, strict=True)
+        {"task": task, dial.x: place, "seed": seed} | row
+        for (task, place, seed), own in zip(cells, measured, strict=True)
         for row in own
     ]
     args.out.mkdir(parents=True, exist_ok=True)
@@ -205,44 +232,42 @@ def summary_of(dial: Dial, rows: Sequence[Row]) -> str:
     header = ["task", dial.x, *dial.columns]
     lines = [header, ["---"] * len(header)]
     for task in dial.settings:
-        for value in sorted({row[dial.x] for row in rows}):
-            own = [row for row in rows if row["task"] == task and row[dial.x] == value]
+        for place in _places(dial, rows):
+            own = [row for row in rows if row["task"] == task and row[dial.x] == place]
             spreads = [median_and_range([row[name] for row in own]) for name in dial.columns]
-            lines.append([task, f"{value:g}", *spreads])
+            lines.append([task, f"{place}", *spreads])
     table = "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
-    return table + "\n" + "\n".join(_rank_correlations(dial, rows)) + "\n"
+    return "\n".join([table, *_rank_correlations(dial, rows)])
 
 
 def _rank_correlations(dial: Dial, rows: Sequence[Row]) -> list[str]:
-    """Spearman's correlation of each column's medians with the dial."""
+    """Spearman's correlation of each column's medians with the dial, where it has a scale."""
+    places = _places(dial, rows)
+    if isinstance(places[0], str):
+        return []
     lines = []
     for task in dial.settings:
-        values, medians = _medians(dial, rows, task)
-        for name, column in medians.items():
-            if np.isfinite(column).all():
-                correlation = spearmanr(values, column).statistic
-                lines.append(
-                    f"- {task}: rank correlation of {name} with {dial.x} {correlation:.2f}"
-                )
-    return lines
+        for name in dial.columns:
+            medians = _medians(dial, rows, task, name)
+            if np.isfinite(medians).all():
+                rank = spearmanr(places, medians).statistic
+                lines.append(f"- {task}: rank correlation of {name} with {dial.x} {rank:.2f}")
+    return [*lines, ""]
 
 
-def _medians(
-    dial: Dial, rows: Sequence[Row], task: str
-) -> tuple[list[float], dict[str, np.ndarray]]:
-    values = sorted({row[dial.x] for row in rows})
-    medians = {
-        name: np.array(
-            [
-                np.median(
-                    [row[name] for row in rows if row["task"] == task and row[dial.x] == value]
-                )
-                for value in values
-            ]
-        )
-        for name in dial.columns
-    }
-    return values, medians
+def _places(dial: Dial, rows: Sequence[Row]) -> list[float | str]:
+    """Where the dial was put, from one end to the other."""
+    return list(dict.fromkeys(row[dial.x] for row in rows))
+
+
+def _medians(dial: Dial, rows: Sequence[Row], task: str, name: str) -> np.ndarray:
+    """Median over seeds of a column at each place."""
+    return np.array(
+        [
+            np.median([row[name] for row in rows if (row["task"], row[dial.x]) == (task, place)])
+            for place in _places(dial, rows)
+        ]
+    )
 
 
 def draw(path: Path, dial: Dial, rows: Sequence[Row]) -> None:
@@ -258,13 +283,13 @@ def draw(path: Path, dial: Dial, rows: Sequence[Row]) -> None:
 
 def _draw_panel(axes: Axes, dial: Dial, rows: Sequence[Row], task: str, name: str) -> None:
     own = [row for row in rows if row["task"] == task]
-    values, medians = _medians(dial, rows, task)
-    axes.plot(values, medians[name], "o-")
+    places = _places(dial, rows)
+    axes.plot(places, _medians(dial, rows, task, name), "o-")
     axes.plot([row[dial.x] for row in own], [row[name] for row in own], ".", color="grey")
     if name in ("rate", "lower", "upper"):
-        axes.plot(values, values, ":", color="grey", label="target")
+        axes.plot(places, places, ":", color="grey", label="target")
         axes.legend(fontsize=8)
-    axes.set(title=task, xlabel=dial.x.replace("_", " "), ylabel=name.replace("_", " "))
+    axes.set(title=task, xlabel=dial.x, ylabel=name.replace("_", " "))
 
 
 if __name__ == "__main__":
