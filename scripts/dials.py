@@ -113,7 +113,7 @@ def measure_sweep(settings: Settings) -> list[Row]:
 
 
 def measure_survival(settings: Settings) -> list[Row]:
-    """How many of a run's last episodes ended with an empty battery, and the cells seen in them."""
+    """How many of a run's last episodes ended with an empty battery, and cells seen in them."""
     summary = run_once(settings)
     state = load_checkpoint(settings.out)
     episodes = [Episode(*values) for values in state["history"]["episodes"][-LAST_EPISODES:]]
