@@ -1,7 +1,7 @@
 """Curiosity as predictive power: how far an action leads from where one usually ends up."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 
 import torch
@@ -10,16 +10,18 @@ from torch import Tensor
 
 from deep_curiosity.bonus import Bonus, Policy
 from deep_curiosity.distributions import gaussian_log_prob
-from deep_curiosity.divergences import (
-    gaussian_entropy,
-    jensen_shannon_lower,
-    jensen_shannon_upper,
-)
+from deep_curiosity.divergences import jensen_shannon_lower, jensen_shannon_upper
 from deep_curiosity.dynamics import DynamicsEnsemble, Prediction, rows_in_turn
 from deep_curiosity.marginal import NextStateMarginal
 from deep_curiosity.networks import frozen
 from deep_curiosity.normalization import Standardization
 from deep_curiosity.pace import Pace
+from deep_curiosity.parts import (
+    DIVERGENCE,
+    coefficients_of,
+    conditional_entropy,
+    information_gain,
+)
 from deep_curiosity.transitions import (
     Transition,
     check_batch,
@@ -32,11 +34,16 @@ NUM_SAMPLES = 16  # draws from each member's prediction when the bonus is taken 
 
 
 class Decomposition(NamedTuple):
-    """The raw divergence of each pair and what it is made of, in nats."""
+    """The raw divergence of each pair and what it is made of, in nats.
+
+    `total = predictive_power + information_gain = cross_entropy - conditional_entropy`.
+    """
 
     predictive_power: Float[Tensor, " batch"]
     information_gain: Float[Tensor, " batch"]
     total: Float[Tensor, " batch"]
+    cross_entropy: Float[Tensor, " batch"]
+    conditional_entropy: Float[Tensor, " batch"]
 
 
 class CuriosityBonus(Bonus):
@@ -46,6 +53,12 @@ class CuriosityBonus(Bonus):
 
     It is returned standardised, `weight * (D - mean) / std`, with running statistics. Pure noise
     earns nothing once its variance is learned: `D` contains minus the conditional entropy.
+
+    `parts` rewards what `D` is made of by weights of its own: `predictive_power`, the divergence
+    of the members' mean prediction, and `information_gain`, what the next state would tell about
+    which member is right, add up to `D`; so do `cross_entropy`, how rare the next state is, and
+    `negative_entropy`, how sure. All are closed forms: `D` and the cross-entropy upper bounds, the
+    gain a lower bound (see `parts.information_gain`), and predictive power what is left of `D`.
 
     Args:
         observation_dim: Length of an observation.
@@ -67,10 +80,12 @@ class CuriosityBonus(Bonus):
             next; the calls between do nothing.
         member_per_row: Ask one member for each pair, in turn, instead of the mean of them all, and
             let each transition train one: an unbiased estimate for as many times less as there
-            are members. A pair's bonus then depends on its place in the batch.
+            are members. A pair's bonus then depends on its place in the batch. Where `parts`
+            need the information gain, all members are asked all the same.
+        parts: Weight of each part of `D` that is rewarded, by name; `D` itself when `None`.
 
     Raises:
-        ValueError: If a count or a scale is out of range.
+        ValueError: If a count or a scale is out of range, or a part unknown.
 
     Reference: Still & Precup, "An information-theoretic approach to curiosity-driven reinforcement
     learning" (2012), equations (18)-(20).
@@ -96,12 +111,14 @@ class CuriosityBonus(Bonus):
         target_perplexity: float = 8.0,
         refresh_interval: int = 10,
         member_per_row: bool = False,
+        parts: Mapping[str, float] | None = None,
     ) -> None:
         super().__init__()
         check_counts(refresh_interval=refresh_interval)
         self.observation_dim = observation_dim
         self.action_dim = action_dim
         self.member_per_row = member_per_row
+        self.coefficients = coefficients_of(parts)
         self.dynamics = DynamicsEnsemble(
             observation_dim,
             action_dim,
@@ -183,11 +200,13 @@ class CuriosityBonus(Bonus):
         action: Float[Tensor, "batch action_dim"],
         noise: Float[Tensor, "samples members batch outcomes observation_dim"] | None = None,
     ) -> Decomposition:
-        r"""Predictive power, information gain about the model, and their sum, in nats.
+        r"""The divergence of each pair and its parts, in nats, whichever of them is rewarded.
 
-        .. math:: \frac{1}{E} \sum_e KL(p_e \| m) = KL(\bar p \| m) + JSD(p_1, \dots, p_E)
+        .. math::
+            \frac{1}{E} \sum_e KL(p_e \| m) = KL(\bar p \| m) + JSD(p_1, \dots, p_E)
+            = \frac{1}{E} \sum_e \left( H(p_e, m) - H(p_e) \right)
 
-        All three are Monte Carlo means over the same draws, so the identity is exact.
+        All are Monte Carlo means over the same draws, so the identities are exact.
 
         Args:
             observation: Where.
@@ -220,6 +239,8 @@ class CuriosityBonus(Bonus):
             predictive_power=mean(log_mean - log_marginal),
             information_gain=mean(log_own - log_mean),
             total=mean(log_own - log_marginal),
+            cross_entropy=mean(-log_marginal),
+            conditional_entropy=mean(-log_own),
         )
 
     @torch.no_grad()
@@ -235,12 +256,14 @@ class CuriosityBonus(Bonus):
             self.probe_observation, self.probe_action, noise.to(self.probe_observation)
         )
         upper, lower = self._upper(prediction), self._lower(prediction)
+        entropy = conditional_entropy(prediction)
         return metrics | {
             "nats": upper.mean(),
             "nats_std": self.standardization.moments.scale[0],
             "predictive_power": parts.predictive_power.mean(),
             "information_gain": parts.information_gain.mean(),
-            "conditional_entropy": _entropy(prediction).mean(),
+            "conditional_entropy": entropy.mean(),
+            "cross_entropy": (upper + entropy).mean(),
             "bound_gap": (upper - lower).mean(),
             "marginal_perplexity": self.marginal.perplexity(),
             "floor_share": self._floor_share(prediction),
@@ -252,12 +275,24 @@ class CuriosityBonus(Bonus):
             return self.dynamics(observation, action)
 
     def _estimate(self, observation: Tensor, action: Tensor) -> Float[Tensor, " batch"]:
-        """Raw divergence in nats, of all members or of one for each pair."""
-        if not self.member_per_row:
-            return self.nats(observation, action)
+        """Raw reward in nats, by all members or by one for each pair."""
+        if not self.member_per_row or self.coefficients.information_gain:
+            return self._weigh(self._predict(observation, action))
         self._check_question(observation, action)
         with frozen(self.dynamics):
-            return self._upper(self._predict_in_turn(observation, action)).squeeze(0)
+            return self._weigh(self._predict_in_turn(observation, action))
+
+    def _weigh(self, prediction: Prediction) -> Float[Tensor, " batch"]:
+        """Weighted sum of the parts that are rewarded, in nats; no other part is computed."""
+        if self.coefficients == DIVERGENCE:
+            return self._upper(prediction).mean(0)
+        parts = (
+            lambda: self._upper(prediction).mean(0),
+            lambda: information_gain(prediction),
+            lambda: conditional_entropy(prediction).mean(0),
+        )
+        weighted = zip(self.coefficients, parts, strict=True)
+        return torch.stack([weight * part() for weight, part in weighted if weight]).sum(0)
 
     def _predict_in_turn(self, observation: Tensor, action: Tensor) -> Prediction:
         """Prediction of each pair by one member: row `r` asks member `r % members`."""
@@ -310,10 +345,3 @@ class CuriosityBonus(Bonus):
         """Mean share of the predicted variance that is the floor: at 1 the model is sharper."""
         share = torch.exp(2 * math.log(self.dynamics.noise_floor) - prediction.log_var).mean(-1)
         return prediction.mean(share).mean()
-
-
-def _entropy(prediction: Prediction) -> Float[Tensor, "members batch"]:
-    """Differential entropy of each member's prediction, from below, in nats."""
-    return prediction.mean(gaussian_entropy(prediction.log_var)) + jensen_shannon_lower(
-        *prediction
-    )

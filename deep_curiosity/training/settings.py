@@ -54,6 +54,9 @@ class Settings:
     control); or plain soft actor-critic."""
     bonus_weight: float = 0.1
     """Factor of the standardised bonus."""
+    bonus_parts: dict[str, float] = field(default_factory=dict)
+    """Weights of what curiosity is made of, instead of D as a whole: predictive_power,
+    information_gain, negative_entropy, cross_entropy; such as: information_gain 1"""
     curiosity_discount: float = 0.97
     """Discount of the bonus per step; 0 climbs the bonus itself, as the paper writes it."""
     exploration: Literal["policy", "gsde", "pink", "ou"] = "policy"
