@@ -31,6 +31,7 @@ from deep_curiosity.transitions import (
 
 NUM_PROBES = 64  # pairs kept from the last refresh, on which the metrics are computed
 NUM_SAMPLES = 16  # draws from each member's prediction when the bonus is taken apart
+NUM_INFORMATION_SAMPLES = 2  # draws from each of the marginal's components, which are many
 
 
 class Decomposition(NamedTuple):
@@ -257,6 +258,10 @@ class CuriosityBonus(Bonus):
         )
         upper, lower = self._upper(prediction), self._lower(prediction)
         entropy = conditional_entropy(prediction)
+        shape = NUM_INFORMATION_SAMPLES, *self.marginal.loc.shape
+        information = self.marginal.information(
+            torch.randn(shape, generator=generator).to(self.probe_observation)
+        )
         return metrics | {
             "nats": upper.mean(),
             "nats_std": self.standardization.moments.scale[0],
@@ -265,6 +270,8 @@ class CuriosityBonus(Bonus):
             "conditional_entropy": entropy.mean(),
             "cross_entropy": (upper + entropy).mean(),
             "bound_gap": (upper - lower).mean(),
+            "information_lower": information.lower,
+            "information_upper": information.upper,
             "marginal_perplexity": self.marginal.perplexity(),
             "floor_share": self._floor_share(prediction),
         }

@@ -420,6 +420,8 @@ def test_metrics_agree_with_what_they_summarise():
     assert metrics["floor_share"].item() == pytest.approx(0.25)  # (0.05 / 0.1)^2
     assert metrics["bound_gap"] >= 0
     assert 1 <= metrics["marginal_perplexity"] <= 32
+    assert 0 < metrics["information_lower"] <= math.log(32)
+    assert metrics["information_lower"] < metrics["information_upper"]
 
 
 def test_metrics_before_the_first_batch_are_those_of_the_models():
