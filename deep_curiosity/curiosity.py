@@ -83,6 +83,9 @@ class CuriosityBonus(Bonus):
             let each transition train one: an unbiased estimate for as many times less as there
             are members. A pair's bonus then depends on its place in the batch. Where `parts`
             need the information gain, all members are asked all the same.
+        whitening: Unit of the observation's features: mean and standard deviation, or `"robust"`,
+            median and interquartile range. Where a feature has heavy tails, a standard deviation
+            grows with them, and the noise floor and the bandwidth become coarse everywhere.
         parts: Weight of each part of `D` that is rewarded, by name; `D` itself when `None`.
 
     Raises:
@@ -112,6 +115,7 @@ class CuriosityBonus(Bonus):
         target_perplexity: float = 8.0,
         refresh_interval: int = 10,
         member_per_row: bool = False,
+        whitening: Literal["moments", "robust"] = "moments",
         parts: Mapping[str, float] | None = None,
     ) -> None:
         super().__init__()
@@ -128,6 +132,7 @@ class CuriosityBonus(Bonus):
             hidden_dims=hidden_dims,
             noise_floor=noise_floor,
             member_per_row=member_per_row,
+            whitening=whitening,
         )
         self.marginal = NextStateMarginal(
             observation_dim,

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -10,14 +10,13 @@ from torch import Tensor, nn
 from torch.nn.functional import softplus
 
 from deep_curiosity.distributions import gaussian_log_prob
+from deep_curiosity.hashing import HASH_FACTOR, HASH_OFFSET, scrambled
 from deep_curiosity.networks import StackedMLP, log_softmax_of_rest
-from deep_curiosity.normalization import RunningMoments
+from deep_curiosity.normalization import WHITENINGS
 from deep_curiosity.transitions import Transition, check_counts
 
 LOG_VAR_RANGE = (-9.0, 2.0)  # of the whitened change: sharper is float noise, wider is ignorance
 HELD_OUT_SHARE = 20  # one transition in twenty is never trained on
-HASH_OFFSET = 0x9E3779B9  # so that zeros count; the golden ratio's digits
-HASH_FACTOR = 0x5851F42D4C957F2D  # odd, of Knuth's generator MMIX
 HELD_OUT_DECAY = 0.98  # of the held-out averages, for each batch
 
 
@@ -53,6 +52,8 @@ class DynamicsEnsemble(nn.Module):
         noise_floor: Standard deviation added to every prediction, in whitened units.
         member_per_row: Let each transition of a batch train one member, in turn, instead of every
             member by a bootstrap: for as many times less as there are members.
+        whitening: Unit of observations and changes: their mean and standard deviation, or median
+            and interquartile range, which no tail moves.
 
     Raises:
         ValueError: If `members` is below 2 or a count, dimension or the floor is not positive.
@@ -71,8 +72,11 @@ class DynamicsEnsemble(nn.Module):
         hidden_dims: Sequence[int] = (256, 256),
         noise_floor: float = 0.05,
         member_per_row: bool = False,
+        whitening: Literal["moments", "robust"] = "moments",
     ) -> None:
         super().__init__()
+        if whitening not in WHITENINGS:
+            raise ValueError(f"`whitening` must be 'moments' or 'robust', got {whitening!r}.")
         if members < 2:
             raise ValueError(
                 f"`members` must be at least 2 to measure disagreement, got {members}."
@@ -92,8 +96,8 @@ class DynamicsEnsemble(nn.Module):
         )
         if outcomes > 1:
             self._spread_outcomes(observation_dim)
-        self.observation_moments = RunningMoments(observation_dim)
-        self.change_moments = RunningMoments(observation_dim)
+        self.observation_moments = WHITENINGS[whitening](observation_dim)
+        self.change_moments = WHITENINGS[whitening](observation_dim)
         self.register_buffer("held_out_nll", torch.tensor(math.nan))
         self.register_buffer("held_out_coverage", torch.tensor(math.nan))
 
@@ -106,7 +110,7 @@ class DynamicsEnsemble(nn.Module):
         change = self._whitened_change(observation, action)
         scale = self.observation_moments.scale
         ratio = self.change_moments.scale / scale
-        shift = self.observation_moments.normalize(observation + self.change_moments.mean)
+        shift = self.observation_moments.normalize(observation + self.change_moments.center)
         shift = shift.unsqueeze(-2)  # *members batch 1 observation_dim
         log_floor = torch.full_like(change.log_var, 2 * math.log(self.noise_floor))
         log_var = torch.logaddexp(change.log_var + 2 * ratio.log(), log_floor)
@@ -243,6 +247,4 @@ def is_held_out(row: Float[Tensor, "batch dim"]) -> Bool[Tensor, " batch"]:
     """Mark one row in twenty by a hash of its bits: the same rows in every batch and every run."""
     bits = row.float().contiguous().view(torch.int32).long() + HASH_OFFSET
     mixed = (bits * (2 * torch.arange(bits.shape[-1], device=bits.device) + HASH_FACTOR)).sum(-1)
-    for _ in range(2):  # round numbers have empty low bits: bring the high ones down
-        mixed = (mixed ^ (mixed >> 29)) * HASH_FACTOR
-    return (mixed >> 32) % HELD_OUT_SHARE == 0
+    return (scrambled(mixed) >> 32) % HELD_OUT_SHARE == 0

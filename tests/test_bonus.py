@@ -15,6 +15,10 @@ BONUSES = {
     "curiosity": lambda: CuriosityBonus(3, 2, **OPTIONS),
     "curiosity in nats": lambda: CuriosityBonus(3, 2, center=False, scale=False, **OPTIONS),
     "curiosity, tuned": lambda: CuriosityBonus(3, 2, bandwidth="perplexity", **OPTIONS),
+    "curiosity, robust": lambda: CuriosityBonus(3, 2, whitening="robust", **OPTIONS),
+    "information gain of curiosity": lambda: CuriosityBonus(
+        3, 2, parts={"information_gain": 1.0}, **OPTIONS
+    ),
     "constant": lambda: ConstantBonus(0.5),
     "disagreement": lambda: make_bonus("disagreement", 3, 2, members=2, hidden_dims=(8,)),
     "information-gain": lambda: make_bonus("information-gain", 3, 2, members=2, hidden_dims=(8,)),

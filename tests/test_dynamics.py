@@ -414,3 +414,26 @@ def test_with_a_member_per_row_held_out_rows_are_measured(monkeypatch):
     nll = ensemble.negative_log_likelihood(batch)
     expected = torch.stack([nll[row % 3, row] for row in (0, 4, 8)]).mean()
     torch.testing.assert_close(ensemble.metrics()["model_held_out_nll"], expected)
+
+
+def test_heavy_tails_leave_the_resolution_where_it_is_if_whitening_is_robust():
+    observation = torch.distributions.StudentT(1.0).sample((4_000, 2))
+    flag = torch.zeros(4_000, dtype=torch.bool)
+    world = Transition(
+        observation, torch.zeros(4_000, 1), torch.zeros(4_000), observation + 1, flag, flag
+    )
+    seen = {}
+    for whitening in ("moments", "robust"):
+        ensemble = DynamicsEnsemble(2, 1, members=2, hidden_dims=(8,), whitening=whitening)
+        ensemble.observe(world)
+        near = torch.tensor([[0.0, 0.0], [2.0, 2.0]])
+        prediction = ensemble(near, torch.zeros(2, 1)).loc.mean(0).squeeze(1)
+        seen[whitening] = (prediction[1] - prediction[0]).abs().min()
+    assert seen["robust"] > 1 > 0.3 > seen["moments"]
+
+
+def test_a_whitening_that_is_none_is_rejected():
+    with pytest.raises(ValueError, match="`whitening` must be 'moments' or 'robust', got 'pca'"):
+        DynamicsEnsemble.__init__.__wrapped__(
+            DynamicsEnsemble.__new__(DynamicsEnsemble), 2, 1, whitening="pca"
+        )

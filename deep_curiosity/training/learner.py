@@ -186,6 +186,7 @@ def make_run_bonus(settings: Settings, observation_dim: int, action_dim: int) ->
         bandwidth=settings.bandwidth,
         refresh_interval=settings.refresh_interval,
         member_per_row=settings.member_per_row,
+        whitening=settings.whitening,
         parts=settings.bonus_parts or None,
     )
 

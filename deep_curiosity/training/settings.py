@@ -96,6 +96,9 @@ class Settings:
     """Of Adam, for the models."""
     noise_floor: float = 0.05
     """Resolution at which the agent sees, in standard deviations of the observation."""
+    whitening: Literal["moments", "robust"] = "moments"
+    """Unit of the observation's entries: standard deviation, or interquartile range, which heavy
+    tails do not move."""
     components: int = 256
     """Next states that make up the marginal."""
     bandwidth: float | Literal["silverman", "perplexity"] = "silverman"

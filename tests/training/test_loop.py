@@ -297,6 +297,7 @@ def test_ctrl_c_ends_after_the_step_with_a_checkpoint(tiny, monkeypatch, capsys)
         {"curiosity_discount": 0.0},
         {"bandwidth": "perplexity"},
         {"bandwidth": 0.3},
+        {"whitening": "robust"},
         {"bonus_parts": {"predictive_power": 1.0}},
         {"bonus_parts": {"information_gain": 1.0}},
         {"bonus_parts": {"cross_entropy": 1.0}},
