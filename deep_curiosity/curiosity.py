@@ -11,7 +11,7 @@ from torch import Tensor
 from deep_curiosity.bonus import Bonus, Policy
 from deep_curiosity.distributions import gaussian_log_prob
 from deep_curiosity.divergences import jensen_shannon_lower, jensen_shannon_upper
-from deep_curiosity.dynamics import DynamicsEnsemble, Prediction, rows_in_turn
+from deep_curiosity.dynamics import DynamicsEnsemble, Features, Prediction, rows_in_turn
 from deep_curiosity.marginal import NextStateMarginal
 from deep_curiosity.networks import frozen
 from deep_curiosity.normalization import Standardization
@@ -86,15 +86,21 @@ class CuriosityBonus(Bonus):
         whitening: Unit of the observation's features: mean and standard deviation, or `"robust"`,
             median and interquartile range. Where a feature has heavy tails, a standard deviation
             grows with them, and the noise floor and the bandwidth become coarse everywhere.
+        features: What of the next state is of interest: entries of the observation by their index,
+            from the end where negative, or a function or module from observations to features; all
+            when `None`. Entries are predicted with the others, and `D` is their marginal's, which
+            diagonal Gaussians make exact; of a function, the models predict the value itself (see
+            `DynamicsEnsemble`), and a module is frozen for good.
         parts: Weight of each part of `D` that is rewarded, by name; `D` itself when `None`.
 
     Raises:
-        ValueError: If a count or a scale is out of range, or a part unknown.
+        ValueError: If a count or a scale is out of range, a part unknown, or a feature no entry.
 
     Reference: Still & Precup, "An information-theoretic approach to curiosity-driven reinforcement
     learning" (2012), equations (18)-(20).
     """
 
+    entries: Tensor | None
     probe_observation: Tensor
     probe_action: Tensor
 
@@ -116,6 +122,7 @@ class CuriosityBonus(Bonus):
         refresh_interval: int = 10,
         member_per_row: bool = False,
         whitening: Literal["moments", "robust"] = "moments",
+        features: Sequence[int] | Features | None = None,
         parts: Mapping[str, float] | None = None,
     ) -> None:
         super().__init__()
@@ -133,9 +140,16 @@ class CuriosityBonus(Bonus):
             noise_floor=noise_floor,
             member_per_row=member_per_row,
             whitening=whitening,
+            features=features if callable(features) else None,
         )
+        entries = (
+            None
+            if features is None or callable(features)
+            else torch.tensor(entries_of(features, observation_dim))
+        )
+        self.register_buffer("entries", entries, persistent=False)
         self.marginal = NextStateMarginal(
-            observation_dim,
+            self.dynamics.predicted_dim if entries is None else len(entries),
             components=components,
             bandwidth=bandwidth,
             target_perplexity=target_perplexity,
@@ -204,7 +218,7 @@ class CuriosityBonus(Bonus):
         self,
         observation: Float[Tensor, "batch observation_dim"],
         action: Float[Tensor, "batch action_dim"],
-        noise: Float[Tensor, "samples members batch outcomes observation_dim"] | None = None,
+        noise: Float[Tensor, "samples members batch outcomes features"] | None = None,
     ) -> Decomposition:
         r"""The divergence of each pair and its parts, in nats, whichever of them is rewarded.
 
@@ -284,7 +298,7 @@ class CuriosityBonus(Bonus):
     def _predict(self, observation: Tensor, action: Tensor) -> Prediction:
         self._check_question(observation, action)
         with frozen(self.dynamics):
-            return self.dynamics(observation, action)
+            return self._of_interest(self.dynamics(observation, action))
 
     def _estimate(self, observation: Tensor, action: Tensor) -> Float[Tensor, " batch"]:
         """Raw reward in nats, by all members or by one for each pair."""
@@ -312,7 +326,14 @@ class CuriosityBonus(Bonus):
         row, _ = rows_in_turn(batch, self.dynamics.members, observation.device)
         in_turn = self.dynamics(observation[row], action[row])  # members turns ...
         in_order = (field.transpose(0, 1).flatten(0, 1)[:batch] for field in in_turn)
-        return Prediction(*(field.unsqueeze(0) for field in in_order))
+        return self._of_interest(Prediction(*(field.unsqueeze(0) for field in in_order)))
+
+    def _of_interest(self, prediction: Prediction) -> Prediction:
+        """The entries of a prediction that curiosity is about."""
+        if self.entries is None:
+            return prediction
+        loc, log_var, log_weight = prediction
+        return Prediction(loc[..., self.entries], log_var[..., self.entries], log_weight)
 
     def _upper(self, prediction: Prediction) -> Float[Tensor, "members batch"]:
         """Upper bound of each member's divergence from the marginal, in nats."""
@@ -357,3 +378,18 @@ class CuriosityBonus(Bonus):
         """Mean share of the predicted variance that is the floor: at 1 the model is sharper."""
         share = torch.exp(2 * math.log(self.dynamics.noise_floor) - prediction.log_var).mean(-1)
         return prediction.mean(share).mean()
+
+
+def entries_of(features: Sequence[int], observation_dim: int) -> list[int]:
+    """Indices of entries, counted from the front.
+
+    Raises:
+        ValueError: If there is none, or one is no entry of the observation or named twice.
+    """
+    valid = all(-observation_dim <= index < observation_dim for index in features)
+    entries = [index % observation_dim for index in features]
+    if not entries or not valid or len(set(entries)) < len(entries):
+        raise ValueError(
+            f"`features` must name different entries of {observation_dim}, got {list(features)}."
+        )
+    return entries

@@ -16,6 +16,10 @@ BONUSES = {
     "curiosity in nats": lambda: CuriosityBonus(3, 2, center=False, scale=False, **OPTIONS),
     "curiosity, tuned": lambda: CuriosityBonus(3, 2, bandwidth="perplexity", **OPTIONS),
     "curiosity, robust": lambda: CuriosityBonus(3, 2, whitening="robust", **OPTIONS),
+    "curiosity about an entry": lambda: CuriosityBonus(3, 2, features=(-1,), **OPTIONS),
+    "curiosity about features": lambda: CuriosityBonus(
+        3, 2, features=torch.nn.Sequential(torch.nn.Linear(3, 4), torch.nn.Tanh()), **OPTIONS
+    ),
     "information gain of curiosity": lambda: CuriosityBonus(
         3, 2, parts={"information_gain": 1.0}, **OPTIONS
     ),

@@ -653,3 +653,61 @@ def test_all_parts_are_told_whichever_is_rewarded():
         told, expected = part.metrics(), whole.metrics()
         for name in (*Decomposition._fields[:2], *Decomposition._fields[3:], "nats"):
             assert told[name].equal(expected[name])
+
+
+def test_curiosity_about_entries_is_that_of_their_marginal():
+    """Of the one entry that an action moves, or of the other, which it leaves alone."""
+    for entry in (0, 1, -1):
+        bonus = bonus_of(1.0, 2.0, features=[entry])
+        alone = CuriosityBonus(1, 1, **SMALL)
+        alone.dynamics = FixedDynamics((1.0, 2.0))
+        batch = random_transition(16, 2, 2)
+        bonus.observe(batch)
+        column = slice(entry % 2, entry % 2 + 1)
+        single = batch._replace(
+            observation=batch.observation[:, column],
+            action=batch.action[:, column],
+            next_observation=batch.next_observation[:, column],
+        )
+        alone.observe(single)
+        torch.testing.assert_close(
+            bonus.nats(batch.observation, batch.action),
+            alone.nats(single.observation, single.action),
+        )
+        told, expected = bonus.metrics(), alone.metrics()
+        for name in ("nats", "cross_entropy", "marginal_perplexity", "bound_gap"):
+            torch.testing.assert_close(told[name], expected[name])
+
+
+def test_what_is_of_no_interest_has_no_gradient():
+    bonus = bonus_of(1.0, 2.0, features=(1,))
+    batch = random_transition(16, 2, 2)
+    bonus.observe(batch)
+    action = batch.action.clone().requires_grad_()
+    bonus(batch.observation, action).sum().backward()
+    assert (action.grad[:, 0] == 0).all() and (action.grad[:, 1] != 0).all()
+
+
+def test_all_entries_are_of_interest_by_default():
+    whole, batch = watchful_bonus()
+    named = small_bonus(features=range(3))
+    named.load_state_dict(whole.state_dict())
+    pair = batch.observation, batch.action
+    torch.testing.assert_close(named(*pair), whole(*pair))
+
+
+def test_curiosity_about_a_function_measures_its_value():
+    bonus, batch = watchful_bonus(features=lambda x: torch.tanh(x[:, :2].sum(-1, keepdim=True)))
+    assert bonus.marginal.loc.shape == (32, 1)
+    action = batch.action.clone().requires_grad_()
+    value = bonus(batch.observation, action)
+    value.sum().backward()
+    assert value.isfinite().all() and action.grad.abs().sum() > 0
+    parts = bonus.decompose(batch.observation, batch.action, torch.randn(400, 3, 32, 1, 1))
+    assert parts.total.mean() <= bonus.nats(batch.observation, batch.action).mean() + 0.05
+
+
+@pytest.mark.parametrize("features", [(), (0, 3), (-4,), (0, 0), (2, -1)])
+def test_features_that_are_no_entries_are_rejected(features):
+    with pytest.raises(ValueError, match="`features` must name different entries of 3, got"):
+        small_bonus(features=features)

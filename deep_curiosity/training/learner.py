@@ -187,6 +187,7 @@ def make_run_bonus(settings: Settings, observation_dim: int, action_dim: int) ->
         refresh_interval=settings.refresh_interval,
         member_per_row=settings.member_per_row,
         whitening=settings.whitening,
+        features=settings.features or None,
         parts=settings.bonus_parts or None,
     )
 

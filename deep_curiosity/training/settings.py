@@ -94,6 +94,9 @@ class Settings:
     """Gaussians that make up a prediction; a next state that is one of two needs two."""
     model_learning_rate: float = 1e-3
     """Of Adam, for the models."""
+    features: tuple[int, ...] = ()
+    """Entries of the observation that curiosity is about, from the end where negative; all by
+    default."""
     noise_floor: float = 0.05
     """Resolution at which the agent sees, in standard deviations of the observation."""
     whitening: Literal["moments", "robust"] = "moments"

@@ -222,7 +222,8 @@ def test_a_run_that_fails_at_once_can_be_continued(tiny, monkeypatch):
 
 
 def test_a_resumed_run_keeps_its_number_of_steps_unless_another_is_given(tiny):
-    train(tiny, show_progress=False)
+    choosy = replace(tiny, features=(0, -1), bonus_parts={"cross_entropy": 1.0})
+    train(choosy, show_progress=False)
     assert train(Settings(resume=tiny.out), show_progress=False)["total_steps"] == 60
 
 
@@ -298,6 +299,7 @@ def test_ctrl_c_ends_after_the_step_with_a_checkpoint(tiny, monkeypatch, capsys)
         {"bandwidth": "perplexity"},
         {"bandwidth": 0.3},
         {"whitening": "robust"},
+        {"features": (0, -1)},
         {"bonus_parts": {"predictive_power": 1.0}},
         {"bonus_parts": {"information_gain": 1.0}},
         {"bonus_parts": {"cross_entropy": 1.0}},
@@ -358,6 +360,7 @@ def test_a_curiosity_that_does_not_yield_learns_otherwise(tiny, tmp_path):
         ({"hunger": float("nan")}, "`hunger` must be finite, got nan"),
         ({"members": 1}, "`members` must be at least 2"),
         ({"noise_floor": 0.0}, "`noise_floor` must be positive"),
+        ({"features": (0, 9)}, r"`features` must name different entries of 3, got \[0, 9\]"),
         ({"bonus_parts": {"novelty": 1.0}}, "`parts` must be named .*got 'novelty'"),
         ({"temperature": -1.0}, "`temperature` must be finite and positive"),
         ({"env_id": "PendulumSwingdown"}, "`env_id` must be a registered id such as .*Swingup"),
