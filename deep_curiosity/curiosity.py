@@ -191,13 +191,21 @@ class CuriosityBonus(Bonus):
         return self.dynamics.loss(transition)
 
     @torch.no_grad()
-    def observe(self, transition: Transition, policy: Policy | None = None) -> None:
+    def observe(
+        self,
+        transition: Transition,
+        policy: Policy | None = None,
+        visited: Transition | None = None,
+    ) -> None:
         """Update statistics and marginal, at every `refresh_interval`-th call.
 
         Args:
             transition: A batch from replay, or the newest rollout.
             policy: Draws fresh actions at the batch's observations for the marginal, so that it
                 follows the policy of now; `None` takes the actions that were taken.
+            visited: Where the marginal's components start from, if not at the batch: the newest
+                transitions, say, for a marginal of where one usually ends up of late. All
+                statistics stay those of the batch.
 
         Raises:
             TypeError: If a field has the wrong kind.
@@ -206,12 +214,13 @@ class CuriosityBonus(Bonus):
         """
         if self.pace.is_due:
             self._check_transition(transition)
-            fresh = transition
+            fresh = transition if visited is None else visited
             if policy is not None:
-                fresh = transition._replace(action=policy(transition.observation))
+                fresh = fresh._replace(action=policy(fresh.observation))
+            if fresh is not transition:
                 self._check_transition(fresh)
             self.dynamics.observe(transition)
-            self._refresh(transition, fresh.action)
+            self._refresh(transition, fresh)
         self.pace.count()
 
     def decompose(
@@ -361,18 +370,17 @@ class CuriosityBonus(Bonus):
     def _dtype(self) -> torch.dtype:
         return self.probe_observation.dtype
 
-    def _refresh(self, transition: Transition, fresh_action: Tensor) -> None:
+    def _refresh(self, transition: Transition, fresh: Transition) -> None:
         """Renew the marginal's components, the standardisation and the probes."""
-        observation = transition.observation
-        (loc,), (log_var,), (log_weight,) = self._predict_in_turn(observation, fresh_action)
-        rows = torch.arange(observation.shape[0], device=observation.device)
+        (loc,), (log_var,), (log_weight,) = self._predict_in_turn(fresh.observation, fresh.action)
         outcome = torch.multinomial(log_weight.exp(), 1).squeeze(-1)
+        rows = torch.arange(outcome.shape[0], device=outcome.device)
         self.marginal.refresh(loc[rows, outcome], log_var[rows, outcome])
-        nats = self._estimate(observation, transition.action)
-        self.standardization.update(nats)
+        observation, action = transition.observation, transition.action
+        self.standardization.update(self._estimate(observation, action))
         probes = torch.arange(NUM_PROBES, device=observation.device) % observation.shape[0]
         self.probe_observation.copy_(observation[probes])
-        self.probe_action.copy_(transition.action[probes])
+        self.probe_action.copy_(action[probes])
 
     def _floor_share(self, prediction: Prediction) -> Tensor:
         """Mean share of the predicted variance that is the floor: at 1 the model is sharper."""

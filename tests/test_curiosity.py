@@ -711,3 +711,34 @@ def test_curiosity_about_a_function_measures_its_value():
 def test_features_that_are_no_entries_are_rejected(features):
     with pytest.raises(ValueError, match="`features` must name different entries of 3, got"):
         small_bonus(features=features)
+
+
+def test_the_marginal_starts_where_one_has_been_of_late_and_statistics_do_not():
+    batch, late = random_transition(32, 2, 2), random_transition(20, 2, 2)
+    usual, recent = bonus_of(1.0, 1.0), bonus_of(1.0, 1.0)
+    usual.observe(batch), recent.observe(batch, visited=late)
+    assert usual.marginal.loc.equal(batch.action)
+    assert recent.marginal.loc[:20].equal(late.action)
+    assert recent.marginal.num_seen == 20
+    assert recent.probe_observation.equal(usual.probe_observation)
+    nats = recent.nats(batch.observation, batch.action)
+    torch.testing.assert_close(recent.standardization.moments.mean, nats.mean().unsqueeze(0))
+    recent.observe(batch, lambda observation: observation.tanh() + 7, late)
+    assert recent.marginal.loc[20:].equal((late.observation.tanh() + 7)[:12])
+
+
+def test_whitening_does_not_see_where_one_has_been_of_late():
+    bonus, alone = small_bonus(), small_bonus()
+    batch = random_transition()
+    bonus.observe(batch, visited=random_transition()), alone.observe(batch)
+    for name in ("observation_moments", "change_moments"):
+        assert_unchanged(getattr(bonus.dynamics, name), getattr(alone.dynamics, name).state_dict())
+
+
+@pytest.mark.parametrize("reason", BAD_BATCHES)
+def test_bad_visited_states_are_rejected_and_change_nothing(reason):
+    bonus, batch = watchful_bonus()
+    before = copied(bonus.state_dict())
+    with pytest.raises((ValueError, TypeError)):
+        bonus.observe(batch, visited=BAD_BATCHES[reason]())
+    assert_unchanged(bonus, before)

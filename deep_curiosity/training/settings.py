@@ -104,6 +104,11 @@ class Settings:
     tails do not move."""
     components: int = 256
     """Next states that make up the marginal."""
+    marginal_horizon: int | None = None
+    """Newest transitions from which the marginal is formed; all of replay by default."""
+    marginal_forgetting: Literal["window", "exponential"] = "window"
+    """How the others are forgotten where there is a horizon: at once, or by half with every such
+    number of newer ones."""
     bandwidth: float | Literal["silverman", "perplexity"] = "silverman"
     """Width of the marginal's kernels."""
     refresh_interval: int = 10
@@ -159,6 +164,15 @@ class Settings:
         for name in ("seed", "learning_starts"):
             if getattr(self, name) < 0:
                 raise ValueError(f"`{name}` must not be negative, got {getattr(self, name)}.")
+        if self.marginal_horizon is not None and self.marginal_horizon < 1:
+            raise ValueError(
+                f"`marginal_horizon` must be at least 1, got {self.marginal_horizon}."
+            )
+        if self.marginal_horizon is None and self.marginal_forgetting != "window":
+            raise ValueError(
+                "`marginal_forgetting` must be 'window' where no `marginal_horizon` is set, "
+                f"got {self.marginal_forgetting!r}."
+            )
         if self.exploration != "policy" and self.policy_modes > 1:
             raise ValueError(
                 f"`exploration` must be 'policy' for {self.policy_modes} policy modes, "

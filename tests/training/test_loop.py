@@ -299,6 +299,8 @@ def test_ctrl_c_ends_after_the_step_with_a_checkpoint(tiny, monkeypatch, capsys)
         {"bandwidth": "perplexity"},
         {"bandwidth": 0.3},
         {"whitening": "robust"},
+        {"marginal_horizon": 5},
+        {"marginal_horizon": 5, "marginal_forgetting": "exponential"},
         {"features": (0, -1)},
         {"bonus_parts": {"predictive_power": 1.0}},
         {"bonus_parts": {"information_gain": 1.0}},
@@ -332,6 +334,14 @@ def test_every_setting_of_learning_changes_what_is_learned(tiny, tmp_path, chang
     assert weights[0].shape != weights[1].shape or not torch.equal(*weights)
 
 
+def test_ways_of_forgetting_are_not_the_same(tiny, tmp_path):
+    window = replace(tiny, marginal_horizon=5)
+    train(window, show_progress=False)
+    fading = replace(window, marginal_forgetting="exponential", out=tmp_path / "fading")
+    train(fading, show_progress=False)
+    assert rows(window.out)[-1]["agent/policy_loss"] != rows(fading.out)[-1]["agent/policy_loss"]
+
+
 def test_a_curiosity_that_does_not_yield_learns_otherwise(tiny, tmp_path):
     faint = replace(tiny, bonus_weight=1e-3)
     train(faint, show_progress=False)
@@ -342,6 +352,11 @@ def test_a_curiosity_that_does_not_yield_learns_otherwise(tiny, tmp_path):
         rows(tiny.out)[-1]["agent/policy_loss"]
         != rows(tmp_path / "changed")[-1]["agent/policy_loss"]
     )
+
+
+def test_forgetting_without_a_horizon_is_rejected():
+    with pytest.raises(ValueError, match="`marginal_forgetting` must be 'window' where no"):
+        Settings(marginal_forgetting="exponential")
 
 
 @pytest.mark.parametrize(
@@ -360,6 +375,7 @@ def test_a_curiosity_that_does_not_yield_learns_otherwise(tiny, tmp_path):
         ({"hunger": float("nan")}, "`hunger` must be finite, got nan"),
         ({"members": 1}, "`members` must be at least 2"),
         ({"noise_floor": 0.0}, "`noise_floor` must be positive"),
+        ({"marginal_horizon": 0}, "`marginal_horizon` must be at least 1, got 0"),
         ({"features": (0, 9)}, r"`features` must name different entries of 3, got \[0, 9\]"),
         ({"bonus_parts": {"novelty": 1.0}}, "`parts` must be named .*got 'novelty'"),
         ({"temperature": -1.0}, "`temperature` must be finite and positive"),
