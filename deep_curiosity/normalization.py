@@ -115,9 +115,9 @@ class RobustMoments(RunningMoments):
     @property
     def scale(self) -> Float[Tensor, " dim"]:
         """Interquartile range of each feature over that of a standard Gaussian, never zero."""
-        robust = (self.spread.square() + VARIANCE_FLOOR).sqrt()
         rests = self.spread.square() <= VARIANCE_FLOOR
-        return torch.where((self.count < 2) | rests, super().scale, robust)
+        var = torch.where(rests, self.var, self.spread.square())
+        return torch.where(self.count < 2, 1.0, (var + VARIANCE_FLOOR).sqrt())
 
 
 WHITENINGS: dict[str, type[RunningMoments]] = {
