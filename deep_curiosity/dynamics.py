@@ -61,7 +61,7 @@ class DynamicsEnsemble(nn.Module):
             whole observation when `None`. Inputs are whole observations either way. A module is
             kept in `state_dict`, set to evaluation, and its parameters are frozen for good: what
             is predicted must not run away from the prediction. Another callable that learns must
-            see to that itself.
+            see to that itself. Both are asked once here, in float32 on the CPU.
 
     Raises:
         ValueError: If `members` is below 2, a count, dimension or the floor is not positive, or
