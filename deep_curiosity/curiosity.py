@@ -1,7 +1,7 @@
 """Curiosity as predictive power: how far an action leads from where one usually ends up."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 
 import torch
@@ -10,16 +10,18 @@ from torch import Tensor
 
 from deep_curiosity.bonus import Bonus, Policy
 from deep_curiosity.distributions import gaussian_log_prob
-from deep_curiosity.divergences import (
-    gaussian_entropy,
-    jensen_shannon_lower,
-    jensen_shannon_upper,
-)
-from deep_curiosity.dynamics import DynamicsEnsemble, Prediction, rows_in_turn
+from deep_curiosity.divergences import jensen_shannon_lower, jensen_shannon_upper
+from deep_curiosity.dynamics import DynamicsEnsemble, Features, Prediction, rows_in_turn
 from deep_curiosity.marginal import NextStateMarginal
 from deep_curiosity.networks import frozen
 from deep_curiosity.normalization import Standardization
 from deep_curiosity.pace import Pace
+from deep_curiosity.parts import (
+    DIVERGENCE,
+    coefficients_of,
+    conditional_entropy,
+    information_gain,
+)
 from deep_curiosity.transitions import (
     Transition,
     check_batch,
@@ -29,14 +31,20 @@ from deep_curiosity.transitions import (
 
 NUM_PROBES = 64  # pairs kept from the last refresh, on which the metrics are computed
 NUM_SAMPLES = 16  # draws from each member's prediction when the bonus is taken apart
+NUM_INFORMATION_SAMPLES = 2  # draws from each of the marginal's components, which are many
 
 
 class Decomposition(NamedTuple):
-    """The raw divergence of each pair and what it is made of, in nats."""
+    """The raw divergence of each pair and what it is made of, in nats.
+
+    `total = predictive_power + information_gain = cross_entropy - conditional_entropy`.
+    """
 
     predictive_power: Float[Tensor, " batch"]
     information_gain: Float[Tensor, " batch"]
     total: Float[Tensor, " batch"]
+    cross_entropy: Float[Tensor, " batch"]
+    conditional_entropy: Float[Tensor, " batch"]
 
 
 class CuriosityBonus(Bonus):
@@ -46,6 +54,12 @@ class CuriosityBonus(Bonus):
 
     It is returned standardised, `weight * (D - mean) / std`, with running statistics. Pure noise
     earns nothing once its variance is learned: `D` contains minus the conditional entropy.
+
+    `parts` rewards what `D` is made of by weights of its own: `predictive_power`, the divergence
+    of the members' mean prediction, and `information_gain`, what the next state would tell about
+    which member is right, add up to `D`; so do `cross_entropy`, how rare the next state is, and
+    `negative_entropy`, how sure. All are closed forms: `D` and the cross-entropy upper bounds, the
+    gain a lower bound (see `parts.information_gain`), and predictive power what is left of `D`.
 
     Args:
         observation_dim: Length of an observation.
@@ -67,15 +81,26 @@ class CuriosityBonus(Bonus):
             next; the calls between do nothing.
         member_per_row: Ask one member for each pair, in turn, instead of the mean of them all, and
             let each transition train one: an unbiased estimate for as many times less as there
-            are members. A pair's bonus then depends on its place in the batch.
+            are members. A pair's bonus then depends on its place in the batch. Where `parts`
+            need the information gain, all members are asked all the same.
+        whitening: Unit of the observation's features: mean and standard deviation, or `"robust"`,
+            median and interquartile range. Where a feature has heavy tails, a standard deviation
+            grows with them, and the noise floor and the bandwidth become coarse everywhere.
+        features: What of the next state is of interest: entries of the observation by their index,
+            from the end where negative, or a function or module from observations to features; all
+            when `None`. Entries are predicted with the others, and `D` is their marginal's, which
+            diagonal Gaussians make exact; of a function, the models predict the value itself (see
+            `DynamicsEnsemble`), and a module is frozen for good.
+        parts: Weight of each part of `D` that is rewarded, by name; `D` itself when `None`.
 
     Raises:
-        ValueError: If a count or a scale is out of range.
+        ValueError: If a count or a scale is out of range, a part unknown, or a feature no entry.
 
     Reference: Still & Precup, "An information-theoretic approach to curiosity-driven reinforcement
     learning" (2012), equations (18)-(20).
     """
 
+    entries: Tensor | None
     probe_observation: Tensor
     probe_action: Tensor
 
@@ -96,12 +121,16 @@ class CuriosityBonus(Bonus):
         target_perplexity: float = 8.0,
         refresh_interval: int = 10,
         member_per_row: bool = False,
+        whitening: Literal["moments", "robust"] = "moments",
+        features: Sequence[int] | Features | None = None,
+        parts: Mapping[str, float] | None = None,
     ) -> None:
         super().__init__()
         check_counts(refresh_interval=refresh_interval)
         self.observation_dim = observation_dim
         self.action_dim = action_dim
         self.member_per_row = member_per_row
+        self.coefficients = coefficients_of(parts)
         self.dynamics = DynamicsEnsemble(
             observation_dim,
             action_dim,
@@ -110,9 +139,17 @@ class CuriosityBonus(Bonus):
             hidden_dims=hidden_dims,
             noise_floor=noise_floor,
             member_per_row=member_per_row,
+            whitening=whitening,
+            features=features if callable(features) else None,
         )
+        entries = (
+            None
+            if features is None or callable(features)
+            else torch.tensor(entries_of(features, observation_dim))
+        )
+        self.register_buffer("entries", entries, persistent=False)
         self.marginal = NextStateMarginal(
-            observation_dim,
+            self.dynamics.predicted_dim if entries is None else len(entries),
             components=components,
             bandwidth=bandwidth,
             target_perplexity=target_perplexity,
@@ -154,13 +191,21 @@ class CuriosityBonus(Bonus):
         return self.dynamics.loss(transition)
 
     @torch.no_grad()
-    def observe(self, transition: Transition, policy: Policy | None = None) -> None:
+    def observe(
+        self,
+        transition: Transition,
+        policy: Policy | None = None,
+        visited: Transition | None = None,
+    ) -> None:
         """Update statistics and marginal, at every `refresh_interval`-th call.
 
         Args:
             transition: A batch from replay, or the newest rollout.
             policy: Draws fresh actions at the batch's observations for the marginal, so that it
                 follows the policy of now; `None` takes the actions that were taken.
+            visited: Where the marginal's components start from, if not at the batch: the newest
+                transitions, say, for a marginal of where one usually ends up of late. All
+                statistics stay those of the batch.
 
         Raises:
             TypeError: If a field has the wrong kind.
@@ -169,25 +214,28 @@ class CuriosityBonus(Bonus):
         """
         if self.pace.is_due:
             self._check_transition(transition)
-            fresh = transition
+            fresh = transition if visited is None else visited
             if policy is not None:
-                fresh = transition._replace(action=policy(transition.observation))
+                fresh = fresh._replace(action=policy(fresh.observation))
+            if fresh is not transition:
                 self._check_transition(fresh)
             self.dynamics.observe(transition)
-            self._refresh(transition, fresh.action)
+            self._refresh(transition, fresh)
         self.pace.count()
 
     def decompose(
         self,
         observation: Float[Tensor, "batch observation_dim"],
         action: Float[Tensor, "batch action_dim"],
-        noise: Float[Tensor, "samples members batch outcomes observation_dim"] | None = None,
+        noise: Float[Tensor, "samples members batch outcomes features"] | None = None,
     ) -> Decomposition:
-        r"""Predictive power, information gain about the model, and their sum, in nats.
+        r"""The divergence of each pair and its parts, in nats, whichever of them is rewarded.
 
-        .. math:: \frac{1}{E} \sum_e KL(p_e \| m) = KL(\bar p \| m) + JSD(p_1, \dots, p_E)
+        .. math::
+            \frac{1}{E} \sum_e KL(p_e \| m) = KL(\bar p \| m) + JSD(p_1, \dots, p_E)
+            = \frac{1}{E} \sum_e \left( H(p_e, m) - H(p_e) \right)
 
-        All three are Monte Carlo means over the same draws, so the identity is exact.
+        All are Monte Carlo means over the same draws, so the identities are exact.
 
         Args:
             observation: Where.
@@ -220,6 +268,8 @@ class CuriosityBonus(Bonus):
             predictive_power=mean(log_mean - log_marginal),
             information_gain=mean(log_own - log_mean),
             total=mean(log_own - log_marginal),
+            cross_entropy=mean(-log_marginal),
+            conditional_entropy=mean(-log_own),
         )
 
     @torch.no_grad()
@@ -235,13 +285,21 @@ class CuriosityBonus(Bonus):
             self.probe_observation, self.probe_action, noise.to(self.probe_observation)
         )
         upper, lower = self._upper(prediction), self._lower(prediction)
+        entropy = conditional_entropy(prediction)
+        shape = NUM_INFORMATION_SAMPLES, *self.marginal.loc.shape
+        information = self.marginal.information(
+            torch.randn(shape, generator=generator).to(self.probe_observation)
+        )
         return metrics | {
             "nats": upper.mean(),
             "nats_std": self.standardization.moments.scale[0],
             "predictive_power": parts.predictive_power.mean(),
             "information_gain": parts.information_gain.mean(),
-            "conditional_entropy": _entropy(prediction).mean(),
+            "conditional_entropy": entropy.mean(),
+            "cross_entropy": (upper + entropy).mean(),
             "bound_gap": (upper - lower).mean(),
+            "information_lower": information.lower,
+            "information_upper": information.upper,
             "marginal_perplexity": self.marginal.perplexity(),
             "floor_share": self._floor_share(prediction),
         }
@@ -249,15 +307,27 @@ class CuriosityBonus(Bonus):
     def _predict(self, observation: Tensor, action: Tensor) -> Prediction:
         self._check_question(observation, action)
         with frozen(self.dynamics):
-            return self.dynamics(observation, action)
+            return self._of_interest(self.dynamics(observation, action))
 
     def _estimate(self, observation: Tensor, action: Tensor) -> Float[Tensor, " batch"]:
-        """Raw divergence in nats, of all members or of one for each pair."""
-        if not self.member_per_row:
-            return self.nats(observation, action)
+        """Raw reward in nats, by all members or by one for each pair."""
+        if not self.member_per_row or self.coefficients.information_gain:
+            return self._weigh(self._predict(observation, action))
         self._check_question(observation, action)
         with frozen(self.dynamics):
-            return self._upper(self._predict_in_turn(observation, action)).squeeze(0)
+            return self._weigh(self._predict_in_turn(observation, action))
+
+    def _weigh(self, prediction: Prediction) -> Float[Tensor, " batch"]:
+        """Weighted sum of the parts that are rewarded, in nats; no other part is computed."""
+        if self.coefficients == DIVERGENCE:
+            return self._upper(prediction).mean(0)
+        parts = (
+            lambda: self._upper(prediction).mean(0),
+            lambda: information_gain(prediction),
+            lambda: conditional_entropy(prediction).mean(0),
+        )
+        weighted = zip(self.coefficients, parts, strict=True)
+        return torch.stack([weight * part() for weight, part in weighted if weight]).sum(0)
 
     def _predict_in_turn(self, observation: Tensor, action: Tensor) -> Prediction:
         """Prediction of each pair by one member: row `r` asks member `r % members`."""
@@ -265,7 +335,14 @@ class CuriosityBonus(Bonus):
         row, _ = rows_in_turn(batch, self.dynamics.members, observation.device)
         in_turn = self.dynamics(observation[row], action[row])  # members turns ...
         in_order = (field.transpose(0, 1).flatten(0, 1)[:batch] for field in in_turn)
-        return Prediction(*(field.unsqueeze(0) for field in in_order))
+        return self._of_interest(Prediction(*(field.unsqueeze(0) for field in in_order)))
+
+    def _of_interest(self, prediction: Prediction) -> Prediction:
+        """The entries of a prediction that curiosity is about."""
+        if self.entries is None:
+            return prediction
+        loc, log_var, log_weight = prediction
+        return Prediction(loc[..., self.entries], log_var[..., self.entries], log_weight)
 
     def _upper(self, prediction: Prediction) -> Float[Tensor, "members batch"]:
         """Upper bound of each member's divergence from the marginal, in nats."""
@@ -293,18 +370,17 @@ class CuriosityBonus(Bonus):
     def _dtype(self) -> torch.dtype:
         return self.probe_observation.dtype
 
-    def _refresh(self, transition: Transition, fresh_action: Tensor) -> None:
+    def _refresh(self, transition: Transition, fresh: Transition) -> None:
         """Renew the marginal's components, the standardisation and the probes."""
-        observation = transition.observation
-        (loc,), (log_var,), (log_weight,) = self._predict_in_turn(observation, fresh_action)
-        rows = torch.arange(observation.shape[0], device=observation.device)
+        (loc,), (log_var,), (log_weight,) = self._predict_in_turn(fresh.observation, fresh.action)
         outcome = torch.multinomial(log_weight.exp(), 1).squeeze(-1)
+        rows = torch.arange(outcome.shape[0], device=outcome.device)
         self.marginal.refresh(loc[rows, outcome], log_var[rows, outcome])
-        nats = self._estimate(observation, transition.action)
-        self.standardization.update(nats)
+        observation, action = transition.observation, transition.action
+        self.standardization.update(self._estimate(observation, action))
         probes = torch.arange(NUM_PROBES, device=observation.device) % observation.shape[0]
         self.probe_observation.copy_(observation[probes])
-        self.probe_action.copy_(transition.action[probes])
+        self.probe_action.copy_(action[probes])
 
     def _floor_share(self, prediction: Prediction) -> Tensor:
         """Mean share of the predicted variance that is the floor: at 1 the model is sharper."""
@@ -312,8 +388,16 @@ class CuriosityBonus(Bonus):
         return prediction.mean(share).mean()
 
 
-def _entropy(prediction: Prediction) -> Float[Tensor, "members batch"]:
-    """Differential entropy of each member's prediction, from below, in nats."""
-    return prediction.mean(gaussian_entropy(prediction.log_var)) + jensen_shannon_lower(
-        *prediction
-    )
+def entries_of(features: Sequence[int], observation_dim: int) -> list[int]:
+    """Indices of entries, counted from the front.
+
+    Raises:
+        ValueError: If there is none, or one is no entry of the observation or named twice.
+    """
+    valid = all(-observation_dim <= index < observation_dim for index in features)
+    entries = [index % observation_dim for index in features]
+    if not entries or not valid or len(set(entries)) < len(entries):
+        raise ValueError(
+            f"`features` must name different entries of {observation_dim}, got {list(features)}."
+        )
+    return entries

@@ -1,8 +1,8 @@
 """The learned world: an ensemble of Gaussian networks that predict the next state."""
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from typing import Literal, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -10,22 +10,24 @@ from torch import Tensor, nn
 from torch.nn.functional import softplus
 
 from deep_curiosity.distributions import gaussian_log_prob
+from deep_curiosity.hashing import HASH_FACTOR, HASH_OFFSET, scrambled
 from deep_curiosity.networks import StackedMLP, log_softmax_of_rest
-from deep_curiosity.normalization import RunningMoments
-from deep_curiosity.transitions import Transition, check_counts
+from deep_curiosity.normalization import WHITENINGS
+from deep_curiosity.transitions import Transition, check_counts, check_finite
+
+Features = Callable[[Tensor], Tensor]
+"""What of observations `(batch, observation_dim)` is to be predicted, `(batch, features)`."""
 
 LOG_VAR_RANGE = (-9.0, 2.0)  # of the whitened change: sharper is float noise, wider is ignorance
 HELD_OUT_SHARE = 20  # one transition in twenty is never trained on
-HASH_OFFSET = 0x9E3779B9  # so that zeros count; the golden ratio's digits
-HASH_FACTOR = 0x5851F42D4C957F2D  # odd, of Knuth's generator MMIX
 HELD_OUT_DECAY = 0.98  # of the held-out averages, for each batch
 
 
 class Prediction(NamedTuple):
     """Next states as each member sees them, in whitened units: a mixture of outcomes, or one."""
 
-    loc: Float[Tensor, "members batch outcomes observation_dim"]
-    log_var: Float[Tensor, "members batch outcomes observation_dim"]
+    loc: Float[Tensor, "members batch outcomes features"]
+    log_var: Float[Tensor, "members batch outcomes features"]
     log_weight: Float[Tensor, "members batch outcomes"]
 
     def mean(
@@ -53,9 +55,17 @@ class DynamicsEnsemble(nn.Module):
         noise_floor: Standard deviation added to every prediction, in whitened units.
         member_per_row: Let each transition of a batch train one member, in turn, instead of every
             member by a bootstrap: for as many times less as there are members.
+        whitening: Unit of observations and changes: their mean and standard deviation, or median
+            and interquartile range, which no tail moves.
+        features: Maps observations to what of the next one is predicted, in units of its own; the
+            whole observation when `None`. Inputs are whole observations either way. A module is
+            kept in `state_dict`, set to evaluation, and its parameters are frozen for good: what
+            is predicted must not run away from the prediction. Another callable that learns must
+            see to that itself. Both are asked once here, in float32 on the CPU.
 
     Raises:
-        ValueError: If `members` is below 2 or a count, dimension or the floor is not positive.
+        ValueError: If `members` is below 2, a count, dimension or the floor is not positive, or
+            `features` gives no batch of vectors.
     """
 
     held_out_nll: Tensor
@@ -71,8 +81,12 @@ class DynamicsEnsemble(nn.Module):
         hidden_dims: Sequence[int] = (256, 256),
         noise_floor: float = 0.05,
         member_per_row: bool = False,
+        whitening: Literal["moments", "robust"] = "moments",
+        features: Features | None = None,
     ) -> None:
         super().__init__()
+        if whitening not in WHITENINGS:
+            raise ValueError(f"`whitening` must be 'moments' or 'robust', got {whitening!r}.")
         if members < 2:
             raise ValueError(
                 f"`members` must be at least 2 to measure disagreement, got {members}."
@@ -84,16 +98,25 @@ class DynamicsEnsemble(nn.Module):
         self.outcomes = outcomes
         self.noise_floor = noise_floor
         self.member_per_row = member_per_row
+        self.features = features
+        if isinstance(features, nn.Module):
+            features.eval().requires_grad_(False)
+        self.predicted_dim = (
+            observation_dim if features is None else count_features(features, observation_dim)
+        )
         self.network = StackedMLP(
             members,
             observation_dim + action_dim,
             hidden_dims,
-            2 * outcomes * observation_dim + outcomes - 1,
+            2 * outcomes * self.predicted_dim + outcomes - 1,
         )
         if outcomes > 1:
-            self._spread_outcomes(observation_dim)
-        self.observation_moments = RunningMoments(observation_dim)
-        self.change_moments = RunningMoments(observation_dim)
+            self._spread_outcomes(self.predicted_dim)
+        self.observation_moments = WHITENINGS[whitening](observation_dim)
+        self.change_moments = WHITENINGS[whitening](self.predicted_dim)
+        self.feature_moments = (
+            None if features is None else WHITENINGS[whitening](self.predicted_dim)
+        )
         self.register_buffer("held_out_nll", torch.tensor(math.nan))
         self.register_buffer("held_out_coverage", torch.tensor(math.nan))
 
@@ -104,10 +127,10 @@ class DynamicsEnsemble(nn.Module):
     ) -> Prediction:
         """Whitened next state of each member, for one shared batch or for a batch of each."""
         change = self._whitened_change(observation, action)
-        scale = self.observation_moments.scale
-        ratio = self.change_moments.scale / scale
-        shift = self.observation_moments.normalize(observation + self.change_moments.mean)
-        shift = shift.unsqueeze(-2)  # *members batch 1 observation_dim
+        moments = self.feature_moments or self.observation_moments
+        ratio = self.change_moments.scale / moments.scale
+        shift = moments.normalize(self._featured(observation) + self.change_moments.center)
+        shift = shift.unsqueeze(-2)  # *members batch 1 features
         log_floor = torch.full_like(change.log_var, 2 * math.log(self.noise_floor))
         log_var = torch.logaddexp(change.log_var + 2 * ratio.log(), log_floor)
         return Prediction(shift + ratio * change.loc, log_var, change.log_weight)
@@ -144,10 +167,20 @@ class DynamicsEnsemble(nn.Module):
             *self._change_and_target(observation, action, next_observation)
         )
 
+    @torch.no_grad()
     def observe(self, transition: Transition) -> None:
-        """Update the statistics that whiten observations and changes."""
+        """Update the statistics that whiten observations, features and changes.
+
+        Raises:
+            ValueError: If a feature is NaN or infinite. The statistics are then as before.
+        """
+        before = self._featured(transition.observation)
+        after = self._featured(transition.next_observation)
+        if self.feature_moments is not None:
+            check_finite("features", torch.cat([before, after]))
+            self.feature_moments.update(before)
         self.observation_moments.update(transition.observation)
-        self.change_moments.update(transition.next_observation - transition.observation)
+        self.change_moments.update(after - before)
 
     def metrics(self) -> dict[str, Tensor]:
         """Held-out negative log-likelihood in nats, and coverage of the 90 % interval."""
@@ -156,33 +189,44 @@ class DynamicsEnsemble(nn.Module):
             "model_coverage_90": self.held_out_coverage.clone(),
         }
 
+    def _featured(
+        self, observation: Float[Tensor, "*batch observation_dim"]
+    ) -> Float[Tensor, "*batch features"]:
+        """What of observations is predicted."""
+        if self.features is None:
+            return observation
+        return self.features(observation.flatten(0, -2)).unflatten(0, observation.shape[:-1])
+
     @torch.no_grad()
-    def _spread_outcomes(self, observation_dim: int) -> None:
+    def _spread_outcomes(self, dim: int) -> None:
         """Begin with outcomes apart, at quantiles of a standard Gaussian, the same everywhere.
 
         So none starves another, and no two change places between one action and the next. Each
         member and feature pairs them by a sign of its own.
         """
         level = (torch.arange(self.outcomes) + 0.5) / self.outcomes
-        sign = 2.0 * torch.randint(2, (self.members, 1, 1, observation_dim)) - 1
+        sign = 2.0 * torch.randint(2, (self.members, 1, 1, dim)) - 1
         spread = sign * torch.special.ndtri(level).unsqueeze(-1)
         for parameter, start in zip(
             self.network.layers[-1].parameters(), (0, spread), strict=True
         ):
-            shape = parameter[..., : 2 * self.outcomes * observation_dim]
-            shape.unflatten(-1, (self.outcomes, -1))[..., :observation_dim] = start
+            shape = parameter[..., : 2 * self.outcomes * dim]
+            shape.unflatten(-1, (self.outcomes, -1))[..., :dim] = start
 
     def _change_and_target(
         self, observation: Tensor, action: Tensor, next_observation: Tensor
-    ) -> tuple[Prediction, Float[Tensor, "*#members batch observation_dim"]]:
+    ) -> tuple[Prediction, Float[Tensor, "*#members batch features"]]:
         """Predicted and true change, both whitened."""
         prediction = self._whitened_change(observation, action)
-        return prediction, self.change_moments.normalize(next_observation - observation)
+        change = self._featured(next_observation) - self._featured(observation)
+        if self.features is not None:
+            change = change.detach()  # features that learn are none of the models' business
+        return prediction, self.change_moments.normalize(change)
 
     def _whitened_change(self, observation: Tensor, action: Tensor) -> Prediction:
-        features = torch.cat([self.observation_moments.normalize(observation), action], dim=-1)
-        output = self.network(features)
-        dim = observation.shape[-1]
+        pair = torch.cat([self.observation_moments.normalize(observation), action], dim=-1)
+        output = self.network(pair)
+        dim = self.predicted_dim
         shape, logits = output.tensor_split([2 * self.outcomes * dim], dim=-1)
         loc, raw_log_var = shape.unflatten(-1, (self.outcomes, 2 * dim)).chunk(2, dim=-1)
         return Prediction(
@@ -200,6 +244,22 @@ class DynamicsEnsemble(nn.Module):
                 average.isnan(), latest, average.lerp(latest, 1 - HELD_OUT_DECAY)
             )
             average.copy_(torch.where(blended.isnan(), average, blended))
+
+
+@torch.no_grad()
+def count_features(features: Features, observation_dim: int) -> int:
+    """Length of what `features` makes of an observation, found by asking it.
+
+    Raises:
+        ValueError: If it makes no batch of vectors.
+    """
+    value = features(torch.zeros(2, observation_dim))
+    if value.ndim != 2 or value.shape[0] != 2 or value.shape[1] == 0:
+        raise ValueError(
+            f"`features` must map observations (2, {observation_dim}) to (2, features), "
+            f"got {tuple(value.shape)}."
+        )
+    return value.shape[1]
 
 
 def rows_in_turn(
@@ -243,6 +303,4 @@ def is_held_out(row: Float[Tensor, "batch dim"]) -> Bool[Tensor, " batch"]:
     """Mark one row in twenty by a hash of its bits: the same rows in every batch and every run."""
     bits = row.float().contiguous().view(torch.int32).long() + HASH_OFFSET
     mixed = (bits * (2 * torch.arange(bits.shape[-1], device=bits.device) + HASH_FACTOR)).sum(-1)
-    for _ in range(2):  # round numbers have empty low bits: bring the high ones down
-        mixed = (mixed ^ (mixed >> 29)) * HASH_FACTOR
-    return (mixed >> 32) % HELD_OUT_SHARE == 0
+    return (scrambled(mixed) >> 32) % HELD_OUT_SHARE == 0

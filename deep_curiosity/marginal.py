@@ -1,12 +1,13 @@
 """The usual next state: a mixture density `p_pi(x')` over what the policy leads to."""
 
 import math
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from deep_curiosity.distributions import gaussian_log_prob
 from deep_curiosity.divergences import (
     expected_log_density,
     kl_to_mixture_lower,
@@ -17,6 +18,13 @@ from deep_curiosity.precision import matmul_is_float32
 
 LOG_BANDWIDTH_RANGE = (math.log(1e-3), math.log(10.0))  # searched for a target perplexity
 BISECTIONS = 20  # halvings of that range: to a factor of 1.00001
+
+
+class Information(NamedTuple):
+    """Two estimates of the information `I({X, A}; X')`, in nats, that enclose it on average."""
+
+    lower: Float[Tensor, ""]
+    upper: Float[Tensor, ""]
 
 
 class NextStateMarginal(nn.Module):
@@ -131,6 +139,48 @@ class NextStateMarginal(nn.Module):
     def perplexity(self) -> Float[Tensor, ""]:
         """How many components a component resembles, itself included: `exp` of mean entropy."""
         return self._perplexity(self.component_log_var)
+
+    def information(self, noise: Float[Tensor, "samples components dim"]) -> Information:
+        r"""Information about the next state in where one is and what one does there, in nats.
+
+        Every component `f_j` is the prediction of a state-action pair, and `x` is drawn from it:
+
+        .. math::
+            I_{lower} = E \log \frac{f_j(x)}{\frac{1}{M} \sum_k f_k(x)}, \quad
+            I_{upper} = E \log \frac{f_j(x)}{\frac{1}{M-1} \sum_{k \ne j} \tilde f_k(x)}
+
+        With its own component included, a pair is at most `log M` nats from the mixture: the
+        estimate is low on average. With it left out, nothing in the mixture knows of the pair, and
+        the estimate is high on average, whatever the density: the components `f~` are widened by
+        the bandwidth, without which it would be the height of spikes over holes. A pair that is
+        asked for its bonus is no component itself, so there the question does not arise.
+
+        Args:
+            noise: Standard normal draws for every component.
+
+        Returns:
+            Both estimates; the upper one is infinite while there are not two components.
+
+        Reference: Poole et al., "On Variational Bounds of Mutual Information" (2019),
+        https://arxiv.org/abs/1905.06922; equations (12) and (13).
+        """
+        log_std = 0.5 * self.log_var
+        value = self.loc + log_std.exp() * noise  # samples components dim
+        own = gaussian_log_prob(value, self.loc, log_std)
+        everyone = mixture_log_density(value, self.loc, self.log_var, self.log_weight)
+        point = torch.full_like(value, -math.inf)
+        others = expected_log_density(
+            value, point, self.loc, self.component_log_var, self.log_weight
+        )  # samples components components
+        itself = torch.eye(len(self.loc), dtype=torch.bool, device=self.loc.device)
+        weight = self.log_weight.exp()
+        without = torch.logsumexp(others.masked_fill(itself, -math.inf), dim=-1)
+        without = without - torch.log1p(-weight)
+        upper = ((own - without).mean(0) * weight).sum()
+        return Information(
+            lower=((own - everyone).mean(0) * weight).sum(),
+            upper=torch.where(self.num_seen < 2, math.inf, upper),
+        )
 
     def _perplexity(self, component_log_var: Tensor) -> Tensor:
         log_density = expected_log_density(

@@ -6,8 +6,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
+from deep_curiosity.hashing import HASH_OFFSET, scrambled
+
 VARIANCE_FLOOR = 1e-8  # a feature that never moves is whitened by 1e-4 of its unit, not by zero
 STATISTICS_MEMORY = 50_000.0  # rows; a bonus drifts as its model learns, so old ones fade
+NUM_DRAWN = 2_048  # rows: an interquartile range of so many is right to 3 %
+QUARTILES = torch.tensor([0.25, 0.5, 0.75])
+NORMAL_RANGE = 1.349  # interquartile range of a standard Gaussian
 WHITENED_BOUND = 10.0  # a feature that starts to move late would drown all others
 
 
@@ -45,13 +50,81 @@ class RunningMoments(nn.Module):
         self.mean.lerp_(batch_mean, share)
 
     @property
+    def center(self) -> Float[Tensor, " dim"]:
+        """Middle of each feature."""
+        return self.mean
+
+    @property
     def scale(self) -> Float[Tensor, " dim"]:
         """Standard deviation of each feature, never zero; one while a single row is known."""
         return torch.where(self.count < 2, 1.0, (self.var + VARIANCE_FLOOR).sqrt())
 
     def normalize(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch dim"]:
-        """Centre, scale, and cut at 10 standard deviations."""
-        return ((value - self.mean) / self.scale).clamp(-WHITENED_BOUND, WHITENED_BOUND)
+        """Centre, scale, and cut at 10 of its scales."""
+        return ((value - self.center) / self.scale).clamp(-WHITENED_BOUND, WHITENED_BOUND)
+
+
+class RobustMoments(RunningMoments):
+    """Median and interquartile range of each feature, which heavy tails leave where they are.
+
+    They are those of a fair draw of 2 048 of the rows seen so far, exact until there are more. Of
+    a Gaussian, the scale is the standard deviation. A feature that rests in most rows and moves in
+    the others has no such range, and is scaled by its standard deviation.
+
+    Args:
+        dim: Number of features.
+
+    Reference: the draw keeps the rows of the least random keys, as in Efraimidis & Spirakis,
+    "Weighted random sampling with a reservoir" (2006); a key is a hash of the row's number.
+    """
+
+    rows: Tensor
+    keys: Tensor
+    num_seen: Tensor
+    median: Tensor
+    spread: Tensor
+
+    def __init__(self, dim: int) -> None:
+        super().__init__(dim)
+        self.register_buffer("rows", torch.zeros(NUM_DRAWN, dim))
+        self.register_buffer("keys", torch.full((NUM_DRAWN,), torch.iinfo(torch.long).max))
+        self.register_buffer("num_seen", torch.zeros((), dtype=torch.long))
+        self.register_buffer("median", torch.zeros(dim))
+        self.register_buffer("spread", torch.ones(dim))
+
+    @torch.no_grad()
+    def update(self, value: Float[Tensor, "batch dim"]) -> None:
+        """Let a batch take part in the draw, and measure what is drawn."""
+        super().update(value)
+        number = self.num_seen + torch.arange(len(value), device=value.device)
+        self.num_seen.add_(len(value))
+        keys = torch.cat([self.keys, scrambled(number + HASH_OFFSET)])
+        keys, kept = torch.topk(keys, NUM_DRAWN, largest=False, sorted=True)
+        self.keys.copy_(keys)
+        self.rows.copy_(torch.cat([self.rows, value])[kept])
+        drawn = self.rows[: int(self.num_seen)]  # empty places have the largest keys
+        low, median, high = drawn.quantile(QUARTILES.to(drawn), dim=0)
+        self.median.copy_(median)
+        self.spread.copy_((high - low) / NORMAL_RANGE)
+
+    @property
+    def center(self) -> Float[Tensor, " dim"]:
+        """Median of each feature."""
+        return self.median
+
+    @property
+    def scale(self) -> Float[Tensor, " dim"]:
+        """Interquartile range of each feature over that of a standard Gaussian, never zero."""
+        rests = self.spread.square() <= VARIANCE_FLOOR
+        var = torch.where(rests, self.var, self.spread.square())
+        return torch.where(self.count < 2, 1.0, (var + VARIANCE_FLOOR).sqrt())
+
+
+WHITENINGS: dict[str, type[RunningMoments]] = {
+    "moments": RunningMoments,
+    "robust": RobustMoments,
+}
+"""What a vector can be whitened by, by name."""
 
 
 class Standardization(nn.Module):

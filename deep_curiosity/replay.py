@@ -1,11 +1,12 @@
 """Replay: one preallocated tensor, its rows views of raw transitions."""
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from deep_curiosity.transitions import Transition, check_counts
@@ -115,11 +116,32 @@ class ReplayBuffer:
         Raises:
             ValueError: If the buffer is empty or `batch_size` is below 1.
         """
-        check_counts(batch_size=batch_size)
-        if len(self) == 0:
-            raise ValueError("the replay must hold a transition before it is sampled, got 0.")
-        index = torch.randint(len(self), (batch_size,), generator=self._generator)
-        return self._transition(self._rows.index_select(0, index.to(self._rows.device)))
+        self._check_draw(batch_size=batch_size)
+        return self._at(torch.randint(len(self), (batch_size,), generator=self._generator))
+
+    def sample_newest(self, batch_size: int, *, window: int) -> Transition:
+        """Draw uniformly from the newest `window` transitions, or all while there are fewer.
+
+        Raises:
+            ValueError: If the buffer is empty or a count is below 1.
+        """
+        self._check_draw(batch_size=batch_size, window=window)
+        size = (batch_size,)
+        age = torch.randint(min(window, len(self)), size, generator=self._generator)
+        return self._at((self._num_added - 1 - age) % self.capacity)
+
+    def sample_fading(self, batch_size: int, *, half_life: int) -> Transition:
+        """Draw transitions whose weight halves with every `half_life` that came after them.
+
+        Raises:
+            ValueError: If the buffer is empty or a count is below 1.
+        """
+        self._check_draw(batch_size=batch_size, half_life=half_life)
+        rate = math.log(2) / half_life
+        held = -math.expm1(-rate * len(self))  # weight of what is held, as a share of all
+        share = torch.rand(batch_size, generator=self._generator, dtype=torch.float64)
+        age = (torch.log1p(-held * share) / -rate).long().clamp_(max=len(self) - 1)
+        return self._at((self._num_added - 1 - age) % self.capacity)
 
     def spread(self, num_rows: int) -> Transition:
         """Transitions at equal distances over all that is held, the same at every call.
@@ -127,11 +149,8 @@ class ReplayBuffer:
         Raises:
             ValueError: If the buffer is empty or `num_rows` is below 1.
         """
-        check_counts(num_rows=num_rows)
-        if len(self) == 0:
-            raise ValueError("the replay must hold a transition before it is read, got 0.")
-        index = torch.arange(num_rows, device=self._rows.device) * len(self) // num_rows
-        return self._transition(self._rows.index_select(0, index))
+        self._check_draw(num_rows=num_rows)
+        return self._at(torch.arange(num_rows) * len(self) // num_rows)
 
     def all(self) -> Transition:
         """Every transition held, oldest first."""
@@ -225,6 +244,15 @@ class ReplayBuffer:
         copy._rows[: rows.shape[0]] = rows
         copy._num_added = rows.shape[0]
         return copy
+
+    def _check_draw(self, **counts: int) -> None:
+        check_counts(**counts)
+        if len(self) == 0:
+            raise ValueError("the replay must hold a transition before it is sampled, got 0.")
+
+    def _at(self, slot: Int[Tensor, " batch"]) -> Transition:
+        """The transitions in some slots."""
+        return self._transition(self._rows.index_select(0, slot.to(self._rows.device)))
 
     def _transition(self, rows: Float[Tensor, "batch row"]) -> Transition:
         observation, action, reward, next_observation, terminated, truncated = rows.split(

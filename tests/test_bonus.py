@@ -15,6 +15,14 @@ BONUSES = {
     "curiosity": lambda: CuriosityBonus(3, 2, **OPTIONS),
     "curiosity in nats": lambda: CuriosityBonus(3, 2, center=False, scale=False, **OPTIONS),
     "curiosity, tuned": lambda: CuriosityBonus(3, 2, bandwidth="perplexity", **OPTIONS),
+    "curiosity, robust": lambda: CuriosityBonus(3, 2, whitening="robust", **OPTIONS),
+    "curiosity about an entry": lambda: CuriosityBonus(3, 2, features=(-1,), **OPTIONS),
+    "curiosity about features": lambda: CuriosityBonus(
+        3, 2, features=torch.nn.Sequential(torch.nn.Linear(3, 4), torch.nn.Tanh()), **OPTIONS
+    ),
+    "information gain of curiosity": lambda: CuriosityBonus(
+        3, 2, parts={"information_gain": 1.0}, **OPTIONS
+    ),
     "constant": lambda: ConstantBonus(0.5),
     "disagreement": lambda: make_bonus("disagreement", 3, 2, members=2, hidden_dims=(8,)),
     "information-gain": lambda: make_bonus("information-gain", 3, 2, members=2, hidden_dims=(8,)),

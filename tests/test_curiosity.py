@@ -5,9 +5,10 @@ import pytest
 import torch
 from torch import nn
 
-from deep_curiosity.curiosity import CuriosityBonus
+from deep_curiosity.curiosity import CuriosityBonus, Decomposition
 from deep_curiosity.divergences import kl_to_mixture_sampled
 from deep_curiosity.dynamics import Prediction
+from deep_curiosity.parts import PARTS
 from deep_curiosity.transitions import Transition
 
 SMALL = {"members": 3, "hidden_dims": (16,), "components": 32, "refresh_interval": 1}
@@ -164,8 +165,11 @@ def test_parts_add_up_to_the_total():
     bonus, batch = watchful_bonus()
     for _ in range(5):
         noise = torch.randn(8, 3, 32, 1, 3)
-        power, gain, total = bonus.decompose(batch.observation, batch.action, noise)
+        power, gain, total, cross, entropy = bonus.decompose(
+            batch.observation, batch.action, noise
+        )
         torch.testing.assert_close(power + gain, total, atol=1e-4, rtol=0)
+        torch.testing.assert_close(cross - entropy, total, atol=1e-4, rtol=0)
 
 
 def test_information_gain_of_equal_members_is_zero():
@@ -410,9 +414,14 @@ def test_metrics_agree_with_what_they_summarise():
         metrics["conditional_entropy"],
         torch.tensor(math.log(2 * math.pi * math.e) + 2 * math.log(0.1)),
     )
+    torch.testing.assert_close(
+        metrics["cross_entropy"] - metrics["conditional_entropy"], metrics["nats"]
+    )
     assert metrics["floor_share"].item() == pytest.approx(0.25)  # (0.05 / 0.1)^2
     assert metrics["bound_gap"] >= 0
     assert 1 <= metrics["marginal_perplexity"] <= 32
+    assert 0 < metrics["information_lower"] <= math.log(32)
+    assert metrics["information_lower"] < metrics["information_upper"]
 
 
 def test_metrics_before_the_first_batch_are_those_of_the_models():
@@ -554,3 +563,182 @@ def test_a_member_per_row_is_right_on_average():
     pair = batch.observation[:1], batch.action[:1]
     repeated = [part.expand(3 * 4, -1) for part in pair]
     assert bonus(*repeated).mean().item() == pytest.approx(bonus.nats(*pair).item(), rel=1e-4)
+
+
+RAW = {"weight": 1.0, "center": False, "scale": False}
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [
+        {"predictive_power": 1.0, "information_gain": 1.0},
+        {"negative_entropy": 1.0, "cross_entropy": 1.0},
+        {"predictive_power": 0.5, "information_gain": 0.5, "cross_entropy": 0.5}
+        | {"negative_entropy": 0.5},
+    ],
+)
+@pytest.mark.parametrize("outcomes", [1, 2])
+def test_parts_of_one_kind_make_up_the_divergence(parts, outcomes):
+    bonus, batch = watchful_bonus(parts=parts, outcomes=outcomes, **RAW)
+    pair = batch.observation, batch.action
+    torch.testing.assert_close(bonus(*pair), bonus.nats(*pair))
+
+
+@pytest.mark.parametrize(
+    ("part", "name", "sign"),
+    [
+        ("predictive_power", "predictive_power", 1),
+        ("information_gain", "information_gain", 1),
+        ("cross_entropy", "cross_entropy", 1),
+        ("negative_entropy", "conditional_entropy", -1),
+    ],
+)
+@pytest.mark.parametrize("member_per_row", [False, True])
+def test_a_part_alone_is_what_sampling_says(part, name, sign, member_per_row):
+    bonus, batch = watchful_bonus(
+        parts={part: 2.0}, noise_floor=0.3, member_per_row=member_per_row, **RAW
+    )
+    noise = torch.randn(400, 3, 32, 1, 3)
+    sampled = getattr(bonus.decompose(batch.observation, batch.action, noise), name).mean()
+    bonus.member_per_row = False  # so that all are asked, as in what is sampled
+    closed = bonus(batch.observation, batch.action).mean()
+    torch.testing.assert_close(closed, 2 * sign * sampled, atol=0.1, rtol=0.05)
+
+
+def test_information_gain_asks_all_members_even_where_rows_take_turns():
+    parts = {"information_gain": 1.0}
+    bonus, batch = watchful_bonus(parts=parts, member_per_row=True, **RAW)
+    whole = small_bonus(parts=parts, **RAW)
+    whole.load_state_dict(bonus.state_dict())
+    pair = batch.observation, batch.action
+    assert bonus(*pair).equal(whole(*pair))
+
+
+def test_a_part_that_needs_one_member_asks_one_for_each_row():
+    bonus = bonus_of(1.0, 3.0, -2.0, parts={"cross_entropy": 1.0}, member_per_row=True, **RAW)
+    bonus.observe(random_transition(64, 2, 2))
+    pairs = random_transition(7, 2, 2)
+    loc, log_var, _ = bonus.dynamics(pairs.observation, pairs.action)
+    entropy = math.log(2 * math.pi * math.e) + 2 * math.log(0.1)
+    each = bonus.marginal.kl_upper(loc, log_var).squeeze(-1) + entropy  # members batch
+    expected = torch.stack([each[row % 3, row] for row in range(7)])
+    torch.testing.assert_close(bonus(pairs.observation, pairs.action), expected)
+
+
+def test_standardisation_is_that_of_the_parts_rewarded():
+    bonus, batch = watchful_bonus(parts={"information_gain": 1.0}, weight=0.3)
+    value = bonus(batch.observation, batch.action)
+    assert value.mean().item() == pytest.approx(0, abs=1e-4)
+    assert 0.01 < value.std(correction=0).item() <= 0.3
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_every_part_has_the_right_gradient_in_the_action(part):
+    torch.manual_seed(1)
+    bonus = small_bonus(noise_floor=0.5, parts={part: 1.0}, outcomes=2).double()
+    batch = random_transition(8)
+    batch = Transition(*(f.double() if f.is_floating_point() else f for f in batch))
+    bonus.observe(batch)
+    action = batch.action[:3].clone().requires_grad_()
+    assert torch.autograd.gradcheck(bonus, (batch.observation[:3], action))
+    bonus(batch.observation[:3], action).sum().backward()
+    assert action.grad.abs().sum() > 0
+
+
+def test_all_parts_are_told_whichever_is_rewarded():
+    whole, _ = watchful_bonus()
+    for parts in ({"information_gain": 1.0}, {"cross_entropy": 1.0}):
+        part = small_bonus(parts=parts)
+        part.load_state_dict(whole.state_dict())
+        told, expected = part.metrics(), whole.metrics()
+        for name in (*Decomposition._fields[:2], *Decomposition._fields[3:], "nats"):
+            assert told[name].equal(expected[name])
+
+
+def test_curiosity_about_entries_is_that_of_their_marginal():
+    """Of the one entry that an action moves, or of the other, which it leaves alone."""
+    for entry in (0, 1, -1):
+        bonus = bonus_of(1.0, 2.0, features=[entry])
+        alone = CuriosityBonus(1, 1, **SMALL)
+        alone.dynamics = FixedDynamics((1.0, 2.0))
+        batch = random_transition(16, 2, 2)
+        bonus.observe(batch)
+        column = slice(entry % 2, entry % 2 + 1)
+        single = batch._replace(
+            observation=batch.observation[:, column],
+            action=batch.action[:, column],
+            next_observation=batch.next_observation[:, column],
+        )
+        alone.observe(single)
+        torch.testing.assert_close(
+            bonus.nats(batch.observation, batch.action),
+            alone.nats(single.observation, single.action),
+        )
+        told, expected = bonus.metrics(), alone.metrics()
+        for name in ("nats", "cross_entropy", "marginal_perplexity", "bound_gap"):
+            torch.testing.assert_close(told[name], expected[name])
+
+
+def test_what_is_of_no_interest_has_no_gradient():
+    bonus = bonus_of(1.0, 2.0, features=(1,))
+    batch = random_transition(16, 2, 2)
+    bonus.observe(batch)
+    action = batch.action.clone().requires_grad_()
+    bonus(batch.observation, action).sum().backward()
+    assert (action.grad[:, 0] == 0).all() and (action.grad[:, 1] != 0).all()
+
+
+def test_all_entries_are_of_interest_by_default():
+    whole, batch = watchful_bonus()
+    named = small_bonus(features=range(3))
+    named.load_state_dict(whole.state_dict())
+    pair = batch.observation, batch.action
+    torch.testing.assert_close(named(*pair), whole(*pair))
+
+
+def test_curiosity_about_a_function_measures_its_value():
+    bonus, batch = watchful_bonus(features=lambda x: torch.tanh(x[:, :2].sum(-1, keepdim=True)))
+    assert bonus.marginal.loc.shape == (32, 1)
+    action = batch.action.clone().requires_grad_()
+    value = bonus(batch.observation, action)
+    value.sum().backward()
+    assert value.isfinite().all() and action.grad.abs().sum() > 0
+    parts = bonus.decompose(batch.observation, batch.action, torch.randn(400, 3, 32, 1, 1))
+    assert parts.total.mean() <= bonus.nats(batch.observation, batch.action).mean() + 0.05
+
+
+@pytest.mark.parametrize("features", [(), (0, 3), (-4,), (0, 0), (2, -1)])
+def test_features_that_are_no_entries_are_rejected(features):
+    with pytest.raises(ValueError, match="`features` must name different entries of 3, got"):
+        small_bonus(features=features)
+
+
+def test_the_marginal_starts_where_one_has_been_of_late_and_statistics_do_not():
+    batch, late = random_transition(32, 2, 2), random_transition(20, 2, 2)
+    usual, recent = bonus_of(1.0, 1.0), bonus_of(1.0, 1.0)
+    usual.observe(batch), recent.observe(batch, visited=late)
+    assert usual.marginal.loc.equal(batch.action)
+    assert recent.marginal.loc[:20].equal(late.action)
+    assert recent.marginal.num_seen == 20
+    assert recent.probe_observation.equal(usual.probe_observation)
+    nats = recent.nats(batch.observation, batch.action)
+    torch.testing.assert_close(recent.standardization.moments.mean, nats.mean().unsqueeze(0))
+    recent.observe(batch, lambda observation: observation.tanh() + 7, late)
+    assert recent.marginal.loc[20:].equal((late.observation.tanh() + 7)[:12])
+
+
+def test_whitening_does_not_see_where_one_has_been_of_late():
+    bonus, alone = small_bonus(), small_bonus()
+    batch = random_transition()
+    bonus.observe(batch, visited=random_transition()), alone.observe(batch)
+    for name in ("observation_moments", "change_moments"):
+        assert_unchanged(getattr(bonus.dynamics, name), getattr(alone.dynamics, name).state_dict())
+
+
+@pytest.mark.parametrize("reason", BAD_BATCHES)
+def test_bad_visited_states_are_rejected_and_change_nothing(reason):
+    bonus, batch = watchful_bonus()
+    before = copied(bonus.state_dict())
+    with pytest.raises((ValueError, TypeError)):
+        bonus.observe(batch, visited=BAD_BATCHES[reason]())
+    assert_unchanged(bonus, before)

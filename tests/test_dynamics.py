@@ -414,3 +414,86 @@ def test_with_a_member_per_row_held_out_rows_are_measured(monkeypatch):
     nll = ensemble.negative_log_likelihood(batch)
     expected = torch.stack([nll[row % 3, row] for row in (0, 4, 8)]).mean()
     torch.testing.assert_close(ensemble.metrics()["model_held_out_nll"], expected)
+
+
+def test_heavy_tails_leave_the_resolution_where_it_is_if_whitening_is_robust():
+    observation = torch.distributions.StudentT(1.0).sample((4_000, 2))
+    flag = torch.zeros(4_000, dtype=torch.bool)
+    world = Transition(
+        observation, torch.zeros(4_000, 1), torch.zeros(4_000), observation + 1, flag, flag
+    )
+    seen = {}
+    for whitening in ("moments", "robust"):
+        ensemble = DynamicsEnsemble(2, 1, members=2, hidden_dims=(8,), whitening=whitening)
+        ensemble.observe(world)
+        near = torch.tensor([[0.0, 0.0], [2.0, 2.0]])
+        prediction = ensemble(near, torch.zeros(2, 1)).loc.mean(0).squeeze(1)
+        seen[whitening] = (prediction[1] - prediction[0]).abs().min()
+    assert seen["robust"] > 1 > 0.3 > seen["moments"]
+
+
+def test_a_whitening_that_is_none_is_rejected():
+    with pytest.raises(ValueError, match="`whitening` must be 'moments' or 'robust', got 'pca'"):
+        DynamicsEnsemble.__init__.__wrapped__(
+            DynamicsEnsemble.__new__(DynamicsEnsemble), 2, 1, whitening="pca"
+        )
+
+
+def test_identity_as_features_predicts_what_whole_observations_do():
+    torch.manual_seed(1)
+    whole = DynamicsEnsemble(3, 2, members=2, hidden_dims=(8,))
+    featured = DynamicsEnsemble(3, 2, members=2, hidden_dims=(8,), features=torch.clone)
+    featured.network.load_state_dict(whole.network.state_dict())
+    batch = random_transition(64)
+    for ensemble in (whole, featured):
+        ensemble.observe(batch)
+    pair = batch.observation, batch.action
+    for one, other in zip(whole(*pair), featured(*pair), strict=True):
+        torch.testing.assert_close(one, other)
+    torch.testing.assert_close(
+        whole.negative_log_likelihood(batch), featured.negative_log_likelihood(batch)
+    )
+
+
+def test_features_of_the_next_state_are_predicted_in_their_own_units():
+    ensemble = DynamicsEnsemble(
+        1, 1, members=2, hidden_dims=(32, 32), features=lambda x: torch.cat([x**2, 100 * x], -1)
+    )
+    observation, action = torch.randn(2_000, 1), torch.rand(2_000, 1) * 2 - 1
+    world = transition(observation, action, observation + action)
+    ensemble.observe(world)
+    optimizer = torch.optim.Adam(ensemble.parameters(), lr=5e-3, fused=True)
+    for _ in range(400):
+        optimizer.zero_grad()
+        ensemble.loss(Transition(*(field[:512] for field in world))).backward()
+        optimizer.step()
+    prediction = ensemble(observation, action).loc.mean(0).squeeze(1)
+    reached = world.next_observation
+    moments = ensemble.feature_moments
+    expected = moments.normalize(torch.cat([reached**2, 100 * reached], -1))
+    near = (observation.abs() < 1).squeeze(-1)
+    assert (prediction - expected)[near].abs().mean() < 0.1
+
+
+def test_features_are_asked_for_batches_of_vectors_and_frozen():
+    shapes = []
+    module = torch.nn.Linear(3, 4)
+    module.register_forward_pre_hook(lambda _, args: shapes.append(args[0].ndim))
+    ensemble = DynamicsEnsemble(
+        3, 2, members=2, hidden_dims=(8,), features=module, member_per_row=True
+    )
+    ensemble.loss(random_transition(64)).backward()
+    assert set(shapes) == {2}
+    assert module.weight.grad is None and not module.weight.requires_grad
+    assert "features.weight" in ensemble.state_dict()
+
+
+def test_features_that_are_no_vectors_or_not_finite_are_rejected():
+    with pytest.raises(ValueError, match=r"`features` must map observations \(2, 3\).*got \(2,\)"):
+        DynamicsEnsemble(3, 2, features=lambda x: x.sum(-1))
+    ensemble = DynamicsEnsemble(3, 2, members=2, hidden_dims=(8,), features=torch.log)
+    before = {name: value.clone() for name, value in ensemble.state_dict().items()}
+    with pytest.raises(ValueError, match="`features` must be finite"):
+        ensemble.observe(random_transition(64))
+    after = ensemble.state_dict()
+    assert all(before[name].nan_to_num().equal(after[name].nan_to_num()) for name in before)

@@ -217,3 +217,51 @@ def test_a_target_that_no_perplexity_can_reach_is_rejected(target):
 
 def test_a_target_that_is_not_read_is_not_checked():
     assert NextStateMarginal(2, components=4, target_perplexity=8.0).is_empty
+
+
+def linear_world(components, dim, signal, noise, **options):
+    """A marginal of `x' = x + noise`, and the information that `x` carries about `x'`."""
+    marginal = NextStateMarginal(dim, components=components, **options)
+    marginal.refresh(signal * torch.randn(components, dim), log_var_of(noise, components, dim))
+    return marginal, 0.5 * dim * math.log(1 + (signal / noise) ** 2)
+
+
+@pytest.mark.parametrize(
+    ("components", "dim", "noise", "within"),
+    [(200, 1, 0.1, 0.15), (200, 2, 0.3, 0.2), (8, 1, 0.3, 0.6)],
+)
+def test_information_lies_between_its_estimates_on_average(components, dim, noise, within):
+    worlds = [linear_world(components, dim, 1.0, noise) for _ in range(100)]
+    estimates = [world.information(torch.randn(4, components, dim)) for world, _ in worlds]
+    lower, upper = (torch.stack(values).mean() for values in zip(*estimates, strict=True))
+    truth = worlds[0][1]
+    assert truth - within < lower < truth - 0.01 < truth + 0.01 < upper < truth + within
+
+
+def test_own_component_limits_the_lower_estimate_to_the_log_of_their_number():
+    marginal, truth = linear_world(64, 10, 1.0, 0.01)
+    lower, upper = marginal.information(torch.randn(2, 64, 10))
+    assert lower.item() == pytest.approx(math.log(64), abs=1e-4) and lower < truth < upper
+
+
+def test_equal_components_carry_no_information():
+    marginal = NextStateMarginal(2, components=16)
+    marginal.refresh(torch.ones(16, 2), torch.zeros(16, 2))
+    lower, upper = marginal.information(torch.randn(3, 16, 2))
+    torch.testing.assert_close(torch.stack([lower, upper]), torch.zeros(2), atol=1e-5, rtol=0)
+
+
+def test_information_is_that_of_the_components_that_are_filled():
+    part, whole = NextStateMarginal(2, components=50), NextStateMarginal(2, components=20)
+    loc, log_var = torch.randn(2, 20, 2)
+    noise = torch.randn(3, 50, 2)
+    for marginal in (part, whole):
+        marginal.refresh(loc, log_var)
+    torch.testing.assert_close(part.information(noise), whole.information(noise[:, :20]))
+
+
+def test_one_component_has_nothing_to_be_told_from():
+    marginal = NextStateMarginal(1, components=4)
+    marginal.refresh(*numbered(0, 1))
+    lower, upper = marginal.information(torch.randn(2, 4, 1))
+    assert lower.item() == pytest.approx(0, abs=1e-6) and upper == math.inf

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from deep_curiosity.normalization import RunningMoments
+from deep_curiosity.normalization import NUM_DRAWN, RobustMoments, RunningMoments
 
 
 def test_moments_of_batches_are_those_of_all_rows():
@@ -91,3 +91,73 @@ def test_all_state_is_in_the_state_dict():
 def test_a_memory_that_is_not_positive_is_rejected(memory):
     with pytest.raises(ValueError, match="`memory` must be positive"):
         RunningMoments(1, memory=memory)
+
+
+def robust(rows, batch=256):
+    moments = RobustMoments(rows.shape[1])
+    for part in rows.split(batch):
+        moments.update(part)
+    return moments
+
+
+@pytest.mark.parametrize("batch", [1, 7, 2_000])
+def test_quartiles_of_few_rows_are_exact(batch):
+    rows = torch.randn(2_000, 3)
+    moments = robust(rows, batch)
+    low, median, high = rows.quantile(torch.tensor([0.25, 0.5, 0.75]), dim=0)
+    torch.testing.assert_close(moments.center, median)
+    torch.testing.assert_close(moments.scale, (high - low) / 1.349, atol=1e-4, rtol=0)
+
+
+def test_heavy_tails_do_not_move_a_robust_scale():
+    rows = torch.distributions.Cauchy(3.0, 2.0).sample((40_000, 4))
+    moments = robust(rows)
+    assert moments.var.sqrt().min() > 30
+    torch.testing.assert_close(moments.center, torch.full((4,), 3.0), atol=0.3, rtol=0)
+    torch.testing.assert_close(moments.scale, torch.full((4,), 4 / 1.349), atol=0, rtol=0.15)
+
+
+def test_a_robust_scale_of_a_gaussian_is_its_standard_deviation():
+    moments = robust(5 + torch.randn(40_000, 4) * torch.tensor([0.1, 1.0, 10.0, 100.0]))
+    torch.testing.assert_close(moments.scale, moments.var.sqrt(), atol=0, rtol=0.07)
+
+
+def test_rows_drawn_are_a_fair_share_of_all_that_were_seen():
+    rows = torch.arange(30_000.0).unsqueeze(-1)
+    drawn = robust(rows).rows[:, 0]
+    assert len(drawn.unique()) == NUM_DRAWN
+    counts = torch.histc(drawn, bins=10, min=0, max=30_000)
+    assert (counts - NUM_DRAWN / 10).abs().max() < 60
+    places = (drawn % 16).long().bincount()  # as of 16 worlds side by side
+    assert (places - NUM_DRAWN / 16).abs().max() < 50
+
+
+@pytest.mark.parametrize("share", [0.05, 0.2])
+def test_a_feature_that_mostly_rests_is_scaled_by_its_standard_deviation(share):
+    rows = torch.randn(8_000, 1) * (torch.rand(8_000, 1) < share)
+    moments = robust(rows)
+    torch.testing.assert_close(moments.scale, rows.std(0, correction=0), atol=1e-5, rtol=1e-3)
+
+
+def test_a_feature_that_never_moves_has_a_robust_scale():
+    moments = robust(torch.full((600, 1), 3.0))
+    assert moments.scale > 0
+    assert moments.normalize(torch.full((1, 1), 3.0)).item() == 0
+
+
+def test_before_a_second_row_a_robust_scale_is_one():
+    moments = RobustMoments(2)
+    value = torch.randn(4, 2)
+    torch.testing.assert_close(moments.normalize(value), value)
+    moments.update(value[:1])
+    assert moments.scale.tolist() == [1, 1]
+
+
+def test_robust_state_is_all_in_the_state_dict():
+    moments, copy = RobustMoments(2), RobustMoments(2)
+    moments.update(torch.randn(3_000, 2))
+    copy.load_state_dict(moments.state_dict())
+    batch = torch.randn(500, 2)
+    moments.update(batch), copy.update(batch)
+    assert copy.center.equal(moments.center) and copy.scale.equal(moments.scale)
+    assert copy.rows.equal(moments.rows)

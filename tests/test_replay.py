@@ -306,5 +306,36 @@ def test_what_is_spread_over_replay_is_the_same_at_every_call():
     assert replay.state_dict()["generator"].equal(generator)
     with pytest.raises(ValueError, match="`num_rows` must be at least 1, got 0"):
         replay.spread(0)
-    with pytest.raises(ValueError, match="must hold a transition before it is read"):
+    with pytest.raises(ValueError, match="must hold a transition before it is sampled"):
         filled(0).spread(1)
+
+
+@pytest.mark.parametrize("count", [1, 3, 8, 21])
+@pytest.mark.parametrize("window", [1, 3, 50])
+def test_the_newest_of_a_window_are_drawn_and_all_of_them(count, window):
+    first = max(0, count - min(window, 8))
+    assert set(numbers(filled(count).sample_newest(300, window=window))) == set(
+        range(first, count)
+    )
+
+
+@pytest.mark.parametrize("count", [6, 21])
+def test_the_weight_of_a_step_halves_with_every_half_life(count):
+    drawn = filled(count).sample_fading(60_000, half_life=2).observation[:, 0]
+    held = min(count, 8)
+    age = torch.bincount((count - 1 - drawn).long(), minlength=held) / 60_000
+    expected = 0.5 ** (torch.arange(held) / 2)
+    torch.testing.assert_close(age, expected / expected.sum(), atol=0.01, rtol=0)
+
+
+def test_a_half_life_beyond_all_steps_draws_them_alike():
+    drawn = filled(4).sample_fading(40_000, half_life=10_000_000).observation[:, 0]
+    assert (torch.bincount(drawn.long()) / 40_000 - 0.25).abs().max() < 0.01
+
+
+@pytest.mark.parametrize(("draw", "name"), [("newest", "window"), ("fading", "half_life")])
+def test_a_horizon_below_one_and_an_empty_replay_are_rejected(draw, name):
+    with pytest.raises(ValueError, match=f"`{name}` must be at least 1, got 0"):
+        getattr(filled(3), f"sample_{draw}")(2, **{name: 0})
+    with pytest.raises(ValueError, match="must hold a transition before it is sampled"):
+        getattr(filled(0), f"sample_{draw}")(2, **{name: 5})

@@ -71,7 +71,10 @@ def describe(seen: Profile, action_space: object) -> str:
         table(seen.features()),
     ]
     if any(row["mind"] == "heavy tail" for row in seen.features()):
-        lines.append("Heavy tails blur the rest: bound such features before the bonus sees them.")
+        lines.append(
+            "Heavy tails blur the rest: bound such features before the bonus sees them, "
+            'or make it with whitening="robust".'
+        )
     return "\n".join([*lines, ""])
 
 

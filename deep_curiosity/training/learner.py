@@ -144,9 +144,20 @@ class Learner:
     def update(self) -> dict[str, Tensor]:
         """One gradient step on the bonus's models and on every part of the agent."""
         transition = self.replay.sample(self.settings.batch_size)
-        if self.bonus is not None:
+        if isinstance(self.bonus, CuriosityBonus):
+            self.bonus.observe(transition, self.agent.act, self._visited())
+        elif self.bonus is not None:
             self.bonus.observe(transition, self.agent.act)
         return self._learn(transition)
+
+    def _visited(self) -> Transition | None:
+        """What the marginal is formed from, where that is not the batch."""
+        horizon, size = self.settings.marginal_horizon, self.settings.batch_size
+        if horizon is None:
+            return None
+        if self.settings.marginal_forgetting == "window":
+            return self.replay.sample_newest(size, window=horizon)
+        return self.replay.sample_fading(size, half_life=horizon)
 
     def _learn_eagerly(self, transition: Transition) -> dict[str, Tensor]:
         """The part of an update that can be one graph; returns what to log."""
@@ -241,6 +252,9 @@ def make_run_bonus(settings: Settings, observation_dim: int, action_dim: int) ->
         bandwidth=settings.bandwidth,
         refresh_interval=settings.refresh_interval,
         member_per_row=settings.member_per_row,
+        whitening=settings.whitening,
+        features=settings.features or None,
+        parts=settings.bonus_parts or None,
     )
 
 

@@ -43,7 +43,8 @@ def read_settings(folder: Path) -> Settings:
     if not path.exists():
         raise FileNotFoundError(f"a run must have a {CONFIG}, got {folder}, which has none.")
     values = json.loads(path.read_text())
-    return Settings(**values | {"out": folder, "resume": None})
+    features = tuple(values.get("features", ()))  # JSON knows lists alone
+    return Settings(**values | {"out": folder, "resume": None, "features": features})
 
 
 def write_json(path: Path, values: Mapping[str, Any]) -> None:

@@ -54,6 +54,9 @@ class Settings:
     control); or plain soft actor-critic."""
     bonus_weight: float = 0.1
     """Factor of the standardised bonus."""
+    bonus_parts: dict[str, float] = field(default_factory=dict)
+    """Weights of what curiosity is made of, instead of D as a whole: predictive_power,
+    information_gain, negative_entropy, cross_entropy; such as: information_gain 1"""
     curiosity_discount: float = 0.97
     """Discount of the bonus per step; 0 climbs the bonus itself, as the paper writes it."""
     exploration: Literal["policy", "gsde", "pink", "ou"] = "policy"
@@ -108,10 +111,21 @@ class Settings:
     """Gaussians that make up a prediction; a next state that is one of two needs two."""
     model_learning_rate: float = 1e-3
     """Of Adam, for the models."""
+    features: tuple[int, ...] = ()
+    """Entries of the observation that curiosity is about, from the end where negative; all by
+    default."""
     noise_floor: float = 0.05
     """Resolution at which the agent sees, in standard deviations of the observation."""
+    whitening: Literal["moments", "robust"] = "moments"
+    """Unit of the observation's entries: standard deviation, or interquartile range, which heavy
+    tails do not move."""
     components: int = 256
     """Next states that make up the marginal."""
+    marginal_horizon: int | None = None
+    """Newest transitions from which the marginal is formed; all of replay by default."""
+    marginal_forgetting: Literal["window", "exponential"] = "window"
+    """How the others are forgotten where there is a horizon: at once, or by half with every such
+    number of newer ones."""
     bandwidth: float | Literal["silverman", "perplexity"] = "silverman"
     """Width of the marginal's kernels."""
     refresh_interval: int = 10
@@ -172,6 +186,15 @@ class Settings:
         for name in ("seed", "learning_starts"):
             if getattr(self, name) < 0:
                 raise ValueError(f"`{name}` must not be negative, got {getattr(self, name)}.")
+        if self.marginal_horizon is not None and self.marginal_horizon < 1:
+            raise ValueError(
+                f"`marginal_horizon` must be at least 1, got {self.marginal_horizon}."
+            )
+        if self.marginal_horizon is None and self.marginal_forgetting != "window":
+            raise ValueError(
+                "`marginal_forgetting` must be 'window' where no `marginal_horizon` is set, "
+                f"got {self.marginal_forgetting!r}."
+            )
         if self.exploration != "policy" and self.policy_modes > 1:
             raise ValueError(
                 f"`exploration` must be 'policy' for {self.policy_modes} policy modes, "

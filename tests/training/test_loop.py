@@ -222,7 +222,8 @@ def test_a_run_that_fails_at_once_can_be_continued(tiny, monkeypatch):
 
 
 def test_a_resumed_run_keeps_its_number_of_steps_unless_another_is_given(tiny):
-    train(tiny, show_progress=False)
+    choosy = replace(tiny, features=(0, -1), bonus_parts={"cross_entropy": 1.0})
+    train(choosy, show_progress=False)
     assert train(Settings(resume=tiny.out), show_progress=False)["total_steps"] == 60
 
 
@@ -297,6 +298,14 @@ def test_ctrl_c_ends_after_the_step_with_a_checkpoint(tiny, monkeypatch, capsys)
         {"curiosity_discount": 0.0},
         {"bandwidth": "perplexity"},
         {"bandwidth": 0.3},
+        {"whitening": "robust"},
+        {"marginal_horizon": 5},
+        {"marginal_horizon": 5, "marginal_forgetting": "exponential"},
+        {"features": (0, -1)},
+        {"bonus_parts": {"predictive_power": 1.0}},
+        {"bonus_parts": {"information_gain": 1.0}},
+        {"bonus_parts": {"cross_entropy": 1.0}},
+        {"bonus_parts": {"negative_entropy": 1.0}},
         {"noise_floor": 0.3},
         {"hunger": 0.0},
         {"bonus_weight": 1.0},
@@ -332,6 +341,14 @@ def test_every_setting_of_learning_changes_what_is_learned(tiny, tmp_path, chang
     assert weights[0].shape != weights[1].shape or not torch.equal(*weights)
 
 
+def test_ways_of_forgetting_are_not_the_same(tiny, tmp_path):
+    window = replace(tiny, marginal_horizon=5)
+    train(window, show_progress=False)
+    fading = replace(window, marginal_forgetting="exponential", out=tmp_path / "fading")
+    train(fading, show_progress=False)
+    assert rows(window.out)[-1]["agent/policy_loss"] != rows(fading.out)[-1]["agent/policy_loss"]
+
+
 def test_a_curiosity_that_does_not_yield_learns_otherwise(tiny, tmp_path):
     faint = replace(tiny, bonus_weight=1e-3)
     train(faint, show_progress=False)
@@ -342,6 +359,11 @@ def test_a_curiosity_that_does_not_yield_learns_otherwise(tiny, tmp_path):
         rows(tiny.out)[-1]["agent/policy_loss"]
         != rows(tmp_path / "changed")[-1]["agent/policy_loss"]
     )
+
+
+def test_forgetting_without_a_horizon_is_rejected():
+    with pytest.raises(ValueError, match="`marginal_forgetting` must be 'window' where no"):
+        Settings(marginal_forgetting="exponential")
 
 
 @pytest.mark.parametrize(
@@ -360,6 +382,9 @@ def test_a_curiosity_that_does_not_yield_learns_otherwise(tiny, tmp_path):
         ({"hunger": float("nan")}, "`hunger` must be finite, got nan"),
         ({"members": 1}, "`members` must be at least 2"),
         ({"noise_floor": 0.0}, "`noise_floor` must be positive"),
+        ({"marginal_horizon": 0}, "`marginal_horizon` must be at least 1, got 0"),
+        ({"features": (0, 9)}, r"`features` must name different entries of 3, got \[0, 9\]"),
+        ({"bonus_parts": {"novelty": 1.0}}, "`parts` must be named .*got 'novelty'"),
         ({"temperature": -1.0}, "`temperature` must be finite and positive"),
         ({"env_id": "PendulumSwingdown"}, "`env_id` must be a registered id such as .*Swingup"),
         ({"env_id": "CartPole-v1", "env_kwargs": {}}, "`action_space` must be a Box"),
