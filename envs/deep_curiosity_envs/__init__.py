@@ -1,4 +1,4 @@
-"""Small MuJoCo tasks whose rewards are sparse, and the paper's two illustrations.
+"""Small MuJoCo tasks whose rewards are sparse or absent, and the paper's two illustrations.
 
 Both are registered with Gymnasium on import.
 
@@ -12,7 +12,9 @@ Example:
 import gymnasium
 
 from deep_curiosity_envs.cartpole import CartpoleSwingup
+from deep_curiosity_envs.hidden_velocity import CartpoleHiddenVelocity, PendulumHiddenVelocity
 from deep_curiosity_envs.illustrations import CleverRandom, ReliableUnreliable
+from deep_curiosity_envs.many_motors import ManyMotors
 from deep_curiosity_envs.mujoco_task import MujocoTask
 from deep_curiosity_envs.pendulum import PendulumSwingup
 from deep_curiosity_envs.point_maze import PointMaze
@@ -22,10 +24,13 @@ from deep_curiosity_envs.vector import MujocoVectorEnv
 __all__ = [
     "ILLUSTRATION_IDS",
     "TASK_IDS",
+    "CartpoleHiddenVelocity",
     "CartpoleSwingup",
     "CleverRandom",
+    "ManyMotors",
     "MujocoTask",
     "MujocoVectorEnv",
+    "PendulumHiddenVelocity",
     "PendulumSwingup",
     "PointMaze",
     "ReacherSparse",
@@ -38,6 +43,9 @@ _EPISODE_STEPS: dict[type[MujocoTask], int] = {
     CartpoleSwingup: 200,
     PointMaze: 300,
     ReacherSparse: 100,
+    PendulumHiddenVelocity: 200,
+    CartpoleHiddenVelocity: 200,
+    ManyMotors: 200,
 }
 
 

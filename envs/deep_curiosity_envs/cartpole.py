@@ -2,6 +2,7 @@
 
 import math
 from functools import partial
+from typing import ClassVar
 
 import numpy as np
 
@@ -15,7 +16,6 @@ RAIL_LIMIT = 2.0  # m; largest distance of the cart from the middle
 CENTRED_POSITION = RAIL_LIMIT / 4  # m; so the middle quarter of the rail pays
 CART_SPEED_SCALE = 4.0  # m/s; about what full force reaches from the middle to the end
 POLE_SPEED_SCALE = 8.0  # rad/s; about the speed at the bottom of a fall from upright
-OBSERVATION_BOUND = (1.1, 1.0, 1.0, 2.0, 5.0)  # the rail's ends give way by a few centimetres
 START_NOISE = 0.01  # m, rad, m/s and rad/s; breaks the symmetry between left and right
 
 
@@ -35,11 +35,13 @@ class CartpoleSwingup(MujocoTask):
     """
 
     hold_time = 1.0
+    # The rail's ends give way by a few centimetres.
+    observation_bound: ClassVar[tuple[float, ...]] = (1.1, 1.0, 1.0, 2.0, 5.0)
 
     def __init__(self, action_cost: float = 0.0, render_mode: str | None = None) -> None:
         super().__init__(
             load_spec("cartpole.xml").compile(),
-            observation_bound=OBSERVATION_BOUND,
+            observation_bound=self.observation_bound,
             action_cost=action_cost,
             render_mode=render_mode,
         )

@@ -2,7 +2,9 @@
 
 import math
 from functools import partial
+from typing import ClassVar
 
+import mujoco
 import numpy as np
 
 from deep_curiosity_envs.mujoco_task import Array64, MujocoTask, load_spec
@@ -32,14 +34,20 @@ class PendulumSwingup(MujocoTask):
     """
 
     hold_time = 1.0
+    observation_bound: ClassVar[tuple[float, ...]] = (1.0, 1.0, SPEED_BOUND)
 
     def __init__(self, action_cost: float = 0.0, render_mode: str | None = None) -> None:
         super().__init__(
-            load_spec("pendulum.xml").compile(),
-            observation_bound=(1.0, 1.0, SPEED_BOUND),
+            self.make_model(),
+            observation_bound=self.observation_bound,
             action_cost=action_cost,
             render_mode=render_mode,
         )
+
+    @staticmethod
+    def make_model() -> mujoco.MjModel:
+        """The pole with its motor."""
+        return load_spec("pendulum.xml").compile()
 
     @property
     def pole_angle(self) -> Array64:

@@ -191,7 +191,7 @@ def test_what_has_no_meaning_is_named(kwargs, message):
 def test_bad_actions_seeds_and_masks_are_named(task_id):
     native = make(task_id)
     native.reset(seed=0)
-    with pytest.raises(ValueError, match=r"`action` must have shape \(4, .\), got shape \(7,\)"):
+    with pytest.raises(ValueError, match=r"`action` must have shape \(4, .+\), got shape \(7,\)"):
         native.step(np.zeros(7))
     with pytest.raises(ValueError, match="`action` must be finite"):
         native.step(np.full(native.action_space.shape, np.nan))
