@@ -9,7 +9,7 @@ from deep_curiosity_envs.mujoco_task import CONTROL_STEP, Array, Array64, load_s
 from deep_curiosity_envs.point_room import PointRoom
 from deep_curiosity_envs.vector import MujocoVectorEnv
 
-CHARGER_POSITION = (0.7, 0.7)  # m to the right of and above the middle
+CHARGER_POSITION = (0.5, 0.5)  # m to the right of and above the middle
 CHARGER_RADIUS = 0.2  # m; four control steps at full speed, so the point cannot jump over it
 CHARGE_PER_STEP = 0.1  # of the battery
 DRAIN_PER_STEP = 1 / 200  # of the battery at rest; twice that at full force on both axes
@@ -22,7 +22,7 @@ class BatteryRover(PointRoom):
 
     The rover starts at rest near the middle of the room with a full battery, of which every step
     drains 1/200, plus as much again times the mean square of the action: it lasts for 100 steps
-    at full force, 150 of random pushes, 200 at rest. The charger, a disc in the top right corner,
+    at full force, 150 of random pushes, 200 at rest. The charger, a disc in the top right quarter,
     gives back a tenth of the battery per step, and nothing drains there. A step pays what it has
     charged in tenths of the battery, so one at most and nothing once the battery is full. An
     empty battery ends the episode. The episode is a success once the rover has filled half of its

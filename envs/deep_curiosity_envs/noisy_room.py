@@ -27,10 +27,10 @@ def split_mix(key: NDArray[np.uint64], index: NDArray[np.uint64]) -> NDArray[np.
     Reference: Steele, Lea and Flood, "Fast Splittable Pseudorandom Number Generators" (2014),
     https://doi.org/10.1145/2714064.2660195; the generator known as SplitMix64.
     """
-    bits = key + (index + 1) * 0x9E3779B97F4A7C15
-    bits = (bits ^ (bits >> 30)) * 0xBF58476D1CE4E5B9
-    bits = (bits ^ (bits >> 27)) * 0x94D049BB133111EB
-    return bits ^ (bits >> 31)
+    bits = key + (index + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
+    bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return bits ^ (bits >> np.uint64(31))
 
 
 class NoisyRoom(PointRoom):
@@ -81,7 +81,8 @@ class NoisyRoom(PointRoom):
         """What the channels show when they flicker, in [-1, 1), `(*worlds, 2)`."""
         key = self.userdata[..., KEY, None].astype(np.uint64)
         index = NUM_CHANNELS * self.userdata[..., STEP, None] + np.arange(NUM_CHANNELS)
-        return (split_mix(key, index.astype(np.uint64)) >> 11) * 2.0**-52 - 1.0
+        bits = split_mix(key, index.astype(np.uint64)) >> np.uint64(11)
+        return bits.astype(np.float64) * 2.0**-52 - 1.0
 
     def initialize_episode(self) -> None:
         """Put the point near the middle, and draw the key to the episode's noise."""
