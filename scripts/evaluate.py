@@ -3,6 +3,7 @@
 import statistics
 import sys
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -41,7 +42,10 @@ def main() -> None:
 def play(args: Args) -> None:
     """Print returns, and write the video."""
     settings = read_settings(args.folder)
-    environment = make_environment(settings.env_id, settings.env_kwargs)
+    make_one = partial(
+        make_environment, settings.env_id, settings.env_kwargs, history=settings.history
+    )
+    environment = make_one()
     agent = load_agent(args.folder, settings, environment)
     episodes = evaluate(
         lambda observation: agent.act(observation, deterministic=True),
@@ -53,7 +57,7 @@ def play(args: Args) -> None:
     spread = statistics.stdev(returns) if len(returns) > 1 else 0.0
     print(f"{settings.env_id}: return {statistics.mean(returns):.2f} +- {spread:.2f}")
     if args.video is not None:
-        screen = make_environment(settings.env_id, settings.env_kwargs, render_mode="rgb_array")
+        screen = make_one(render_mode="rgb_array")
         frames = record_episode(agent, screen, seed=args.seed)
         write_video(args.video, frames, fps=screen.metadata.get("render_fps", 30))
         screen.close()
