@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import gymnasium
 import numpy as np
 import pytest
@@ -6,6 +8,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from deep_curiosity.training.collection import VectorCollector
 from deep_curiosity.training.environments import make_environment, make_vector_environment
+from deep_curiosity.training.integration import LearnerIntegration
 from deep_curiosity.training.window import HistoryWindow, VectorHistoryWindow
 
 
@@ -130,3 +133,8 @@ def test_a_history_without_an_observation_is_rejected():
 def test_worlds_that_reset_by_themselves_are_rejected(mode):
     with pytest.raises(ValueError, match="`env` must have its autoreset disabled, got"):
         VectorHistoryWindow(counters(2, mode), 2)
+
+
+def test_the_check_looks_through_the_same_window(tiny):
+    agent = LearnerIntegration(replace(tiny, history=3))
+    assert agent.collect(5, seed=0).observation.shape == (5, 3 * 3 + 2 * 1)
