@@ -21,13 +21,13 @@ from deep_curiosity.training.environments import make_environment
 from deep_curiosity.training.playback import load_agent
 from deep_curiosity.training.records import read_progress
 from deep_curiosity.training.study import median_and_range, run_once, write_table
-from deep_curiosity_envs.room import CELLS_PER_SIDE
+from deep_curiosity_envs.point_room import CELLS_PER_SIDE
 
 Row = dict[str, Any]
 HUNGERS = np.linspace(0, 1, 11).tolist()
 SWEPT_EPISODES = 10
 LAST_EPISODES = 20
-ROVER_STEPS = 300  # of an episode that does not starve
+ROVER_STEPS = 400  # of an episode that does not starve
 GRID = (24, 16)  # cells of the pendulum's angle and speed
 
 SMALL = Settings(hidden_dim=64, log_interval=500, evaluation_interval=2_000)
@@ -90,7 +90,7 @@ def measure_return(settings: Settings) -> list[Row]:
 def measure_sweep(settings: Settings) -> list[Row]:
     """Return of a dialled agent that acts as in training, and cells it visits, at each hunger."""
     run_once(settings)
-    environment = make_environment(settings.env_id, settings.env_kwargs)
+    environment = make_environment(settings.env_id, settings.env_kwargs, history=settings.history)
     agent = load_agent(settings.out, settings, environment)
     rows = []
     for hunger in HUNGERS:

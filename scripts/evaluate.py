@@ -3,6 +3,7 @@
 import statistics
 import sys
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -43,7 +44,10 @@ def main() -> None:
 def play(args: Args) -> None:
     """Print returns, and write the video."""
     settings = read_settings(args.folder)
-    environment = make_environment(settings.env_id, settings.env_kwargs)
+    make_one = partial(
+        make_environment, settings.env_id, settings.env_kwargs, history=settings.history
+    )
+    environment = make_one()
     for hunger in args.hunger or (None,):
         act = load_policy(args.folder, settings, environment, hunger=hunger)
         episodes = evaluate(act, environment, episodes=args.episodes, seed=args.seed)
@@ -52,7 +56,7 @@ def play(args: Args) -> None:
         at = "" if hunger is None else f" at hunger {hunger:g}"
         print(f"{settings.env_id}{at}: return {statistics.mean(returns):.2f} +- {spread:.2f}")
     if args.video is not None:
-        screen = make_environment(settings.env_id, settings.env_kwargs, render_mode="rgb_array")
+        screen = make_one(render_mode="rgb_array")
         frames = record_episode(act, screen, seed=args.seed)
         write_video(args.video, frames, fps=screen.metadata.get("render_fps", 30))
         screen.close()

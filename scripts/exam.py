@@ -95,7 +95,7 @@ def main(args: Args) -> None:
 def learned_actions(settings: Settings) -> np.ndarray:
     """Actions of a trained agent in states 0 and 1, two rows, in the paper's [0, 1]."""
     run_once(settings)
-    environment = make_environment(settings.env_id)
+    environment = make_environment(settings.env_id, history=settings.history)
     agent = load_agent(settings.out, settings, environment)
     torch.manual_seed(settings.seed)
     return np.stack(

@@ -53,7 +53,8 @@ def test_a_run_without_a_dial_is_played_at_no_other_hunger(tmp_path):
 
 def test_a_video_is_written_where_something_renders(tmp_path):
     out, video = tmp_path / "run", tmp_path / "video.gif"
-    assert run("train.py", "--env-id", "ReacherSparse", *TINY, "--out", out).returncode == 0
+    task = "--env-id", "ReacherSparse", "--history", 2
+    assert run("train.py", *task, *TINY, "--out", out).returncode == 0
     played = run("evaluate.py", out, "--episodes", 1, "--video", video, MUJOCO_GL="egl")
     if played.returncode:
         assert "error: MuJoCo could not start OpenGL" in played.stderr

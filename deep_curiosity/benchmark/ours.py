@@ -54,7 +54,9 @@ class OurAgent:
     def __init__(self, settings: Settings, precision: MatmulPrecision) -> None:
         torch.manual_seed(settings.seed)
         prepare_machine(replace(settings, matmul_precision=precision))
-        environment = make_environment(settings.env_id, settings.env_kwargs)
+        environment = make_environment(
+            settings.env_id, settings.env_kwargs, history=settings.history
+        )
         self.collector = Collector(environment, settings.seed)
         self.learner = Learner(settings, observation_dim(environment), action_dim(environment))
         self._stopwatch = Stopwatch()

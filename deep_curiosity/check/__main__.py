@@ -28,6 +28,8 @@ class Args:
     """Task: one of ours, a gymnasium id, or dm_control/DOMAIN-TASK-v0."""
     env_kwargs: dict[str, float] = field(default_factory=dict)
     """Keyword arguments of the environment, such as: action_cost 0.1"""
+    history: int = 1
+    """As for training."""
     bonus: str = "curiosity"
     """As for training."""
     num_steps: int = 2_000
@@ -43,11 +45,12 @@ def main(args: Args) -> bool:
     settings = Settings(
         env_id=args.env_id,
         env_kwargs=args.env_kwargs,
+        history=args.history,
         bonus=args.bonus,  # type: ignore[arg-type]  # checked by the settings
         hidden_dim=64,
         seed=args.seed,
     )
-    environment = make_environment(args.env_id, args.env_kwargs)
+    environment = make_environment(args.env_id, args.env_kwargs, history=args.history)
     seen = profile(environment, num_steps=args.num_steps, seed=args.seed)
     print(describe(seen, environment.unwrapped.action_space))
     environment.close()

@@ -13,13 +13,18 @@ from gymnasium import spaces
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv
 
 import deep_curiosity_envs
+from deep_curiosity.training.window import HistoryWindow, VectorHistoryWindow
 
 GOAL_ENDS_EPISODE = frozenset({"MountainCarContinuous-v0"})
 """Tasks that say nothing of success, but terminate at the goal and nowhere else."""
 
 
 def make_environment(
-    env_id: str, env_kwargs: Mapping[str, Any] | None = None, *, render_mode: str | None = None
+    env_id: str,
+    env_kwargs: Mapping[str, Any] | None = None,
+    *,
+    history: int = 1,
+    render_mode: str | None = None,
 ) -> gymnasium.Env[np.ndarray, np.ndarray]:
     """Make an environment with vector observations and actions in [-1, 1].
 
@@ -27,10 +32,12 @@ def make_environment(
         env_id: Registered id; `PendulumSwingup` is short for `deep_curiosity/PendulumSwingup-v0`;
             `dm_control/DOMAIN-TASK-v0` needs the `dmc` extra.
         env_kwargs: Keyword arguments of the environment.
+        history: Observations shown together, with the actions between them; see `HistoryWindow`.
         render_mode: Passed on.
 
     Raises:
-        ValueError: If the id is unknown or the spaces are not continuous, bounded vectors.
+        ValueError: If the id is unknown, the spaces are not continuous, bounded vectors, or
+            `history` is below one.
         ImportError: If a dm_control id is asked for without its extra.
     """
     env_id = _registered_id(env_id)
@@ -49,7 +56,8 @@ def make_environment(
     if env_id in GOAL_ENDS_EPISODE:
         environment = _TerminationIsSuccess(environment)
     low, high = np.array([-1.0, 1.0], environment.action_space.dtype)
-    return gymnasium.wrappers.RescaleAction(environment, low, high)
+    environment = gymnasium.wrappers.RescaleAction(environment, low, high)
+    return environment if history == 1 else HistoryWindow(environment, history)
 
 
 def make_vector_environment(
@@ -58,6 +66,7 @@ def make_vector_environment(
     *,
     num_envs: int,
     vectorization: Literal["auto", "native", "sync", "async"] = "auto",
+    history: int = 1,
 ) -> VectorEnv[np.ndarray, np.ndarray, np.ndarray]:
     """Make several worlds of what `make_environment` makes, which reset only when they are told.
 
@@ -68,12 +77,19 @@ def make_vector_environment(
         vectorization: `"native"` steps the MuJoCo tasks of this package in one call of MuJoCo;
             `"sync"` steps any task world by world, `"async"` each in a process of its own;
             `"auto"` is native where it can be, else sync.
+        history: As in `make_environment`.
 
     Raises:
         ValueError: If a native environment is asked for where there is none, or
             `make_environment` raises it.
     """
-    env_id = _registered_id(env_id)
+    worlds = _make_worlds(_registered_id(env_id), env_kwargs, num_envs, vectorization)
+    return worlds if history == 1 else VectorHistoryWindow(worlds, history)
+
+
+def _make_worlds(
+    env_id: str, env_kwargs: Mapping[str, Any] | None, num_envs: int, vectorization: str
+) -> VectorEnv[np.ndarray, np.ndarray, np.ndarray]:
     has_native = env_id in deep_curiosity_envs.TASK_IDS
     if vectorization == "native" and not has_native:
         raise ValueError(
@@ -120,16 +136,20 @@ def num_cells(environment: gymnasium.Env) -> int | None:
     return getattr(environment.unwrapped, "num_cells", None)
 
 
-def picture_features(env_id: str, env_kwargs: Mapping[str, Any]) -> tuple[int, int]:
+def picture_features(
+    env_id: str, env_kwargs: Mapping[str, Any], history: int = 1
+) -> tuple[int, int]:
     """Two entries of the observation that tell most when drawn against each other.
 
     Tasks name them in `metadata["picture_features"]`; otherwise the first and the last are taken.
+    With a history they are entries of its newest observation, the last of the window.
     """
     environment = make_environment(env_id, env_kwargs)
-    last = observation_dim(environment) - 1
-    features: tuple[int, int] = environment.metadata.get("picture_features", (0, last))
+    size = observation_dim(environment)
+    before_newest = (history - 1) * (size + action_dim(environment))
+    first, second = environment.metadata.get("picture_features", (0, size - 1))
     environment.close()
-    return features
+    return before_newest + first, before_newest + second
 
 
 def observation_dim(environment: gymnasium.Env) -> int:

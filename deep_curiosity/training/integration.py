@@ -30,7 +30,9 @@ class LearnerIntegration(Integration):
 
     def __init__(self, settings: Settings) -> None:
         self.settings = replace(settings, num_envs=1, compile="off")
-        self.environment = make_environment(settings.env_id, settings.env_kwargs)
+        self.environment = make_environment(
+            settings.env_id, settings.env_kwargs, history=settings.history
+        )
         self._sizes = observation_dim(self.environment), action_dim(self.environment)
         torch.manual_seed(settings.seed)
         self.learner = Learner(self.settings, *self._sizes)

@@ -32,7 +32,7 @@ def draw_run(folder: Path) -> Path:
     returns, bonus, states = figure.subplots(1, 3)
     _draw_returns(returns, columns, state["history"]["episodes"])
     _draw_bonus(bonus, columns)
-    features = picture_features(settings.env_id, settings.env_kwargs)
+    features = picture_features(settings.env_id, settings.env_kwargs, settings.history)
     _draw_states(states, state["learner"]["replay"]["rows"].numpy(), features)
     figure.suptitle(f"{settings.env_id}, bonus {settings.bonus}, seed {settings.seed}")
     path = folder / PICTURE

@@ -154,7 +154,9 @@ def open_run(settings: Settings) -> Iterator[Run]:
         settings = continued(settings, read_settings(settings.resume))
     prepare_machine(settings)
     torch.manual_seed(settings.seed)
-    evaluation_environment = make_environment(settings.env_id, settings.env_kwargs)
+    evaluation_environment = make_environment(
+        settings.env_id, settings.env_kwargs, history=settings.history
+    )
     learner = Learner(
         settings, observation_dim(evaluation_environment), action_dim(evaluation_environment)
     )
@@ -189,9 +191,12 @@ def make_collector(settings: Settings) -> Collector | VectorCollector:
     """Collector of a run, with its environment."""
     task = settings.env_id, settings.env_kwargs
     if settings.num_envs == 1:
-        return Collector(make_environment(*task), settings.seed)
+        return Collector(make_environment(*task, history=settings.history), settings.seed)
     environment = make_vector_environment(
-        *task, num_envs=settings.num_envs, vectorization=settings.vectorization
+        *task,
+        num_envs=settings.num_envs,
+        vectorization=settings.vectorization,
+        history=settings.history,
     )
     return VectorCollector(environment, settings.seed)
 

@@ -21,6 +21,8 @@ class Settings:
     """Task: one of ours, a gymnasium id such as HalfCheetah-v5, or dm_control/DOMAIN-TASK-v0."""
     env_kwargs: dict[str, float] = field(default_factory=dict)
     """Keyword arguments of the environment, such as: action_cost 0.1"""
+    history: int = 1
+    """Observations shown to the agent together, with the actions between them."""
     total_steps: int = 20_000
     """Environment steps, over all worlds and resumed parts together; a resumed run keeps its own
     number unless another is given."""

@@ -1,4 +1,4 @@
-"""Small MuJoCo tasks whose rewards are sparse, and the paper's two illustrations.
+"""Small MuJoCo tasks whose rewards are sparse or absent, and the paper's two illustrations.
 
 Both are registered with Gymnasium on import.
 
@@ -12,11 +12,13 @@ Example:
 import gymnasium
 
 from deep_curiosity_envs.battery_rover import BatteryRover
-from deep_curiosity_envs.cartpole import CartpoleHiddenVelocity, CartpoleSwingup
+from deep_curiosity_envs.cartpole import CartpoleSwingup
+from deep_curiosity_envs.hidden_velocity import CartpoleHiddenVelocity, PendulumHiddenVelocity
 from deep_curiosity_envs.illustrations import CleverRandom, ReliableUnreliable
+from deep_curiosity_envs.many_motors import ManyMotors
 from deep_curiosity_envs.mujoco_task import MujocoTask
 from deep_curiosity_envs.noisy_room import NoisyRoom
-from deep_curiosity_envs.pendulum import ManyMotors, PendulumHiddenVelocity, PendulumSwingup
+from deep_curiosity_envs.pendulum import PendulumSwingup
 from deep_curiosity_envs.point_maze import PointMaze
 from deep_curiosity_envs.reacher import ReacherSparse
 from deep_curiosity_envs.vector import MujocoVectorEnv
@@ -45,11 +47,11 @@ _EPISODE_STEPS: dict[type[MujocoTask], int] = {
     CartpoleSwingup: 200,
     PointMaze: 300,
     ReacherSparse: 100,
+    NoisyRoom: 300,
+    BatteryRover: 400,
     PendulumHiddenVelocity: 200,
     CartpoleHiddenVelocity: 200,
     ManyMotors: 200,
-    NoisyRoom: 300,
-    BatteryRover: 300,
 }
 
 
@@ -70,3 +72,4 @@ def _register(task: type[gymnasium.Env], num_steps: int) -> str:
 ILLUSTRATION_IDS = tuple(_register(world, 100) for world in (CleverRandom, ReliableUnreliable))
 """The paper's two illustrations, for the deep agent: two states, no reward."""
 TASK_IDS = tuple(_register(task, num_steps) for task, num_steps in _EPISODE_STEPS.items())
+"""The MuJoCo tasks, every one of which is also a vector environment of its own."""

@@ -1,90 +1,112 @@
-"""A rover that has to come back to its charger in time, and is free to wander in between."""
+"""A rover that lives as long as it comes back to its charger."""
 
 from functools import partial
 
+import mujoco
 import numpy as np
 
-from deep_curiosity_envs.mujoco_task import Array, Array64
-from deep_curiosity_envs.room import SPEED_BOUND, Room, room_spec
+from deep_curiosity_envs.mujoco_task import CONTROL_STEP, Array, Array64, load_spec
+from deep_curiosity_envs.point_room import PointRoom
 from deep_curiosity_envs.vector import MujocoVectorEnv
 
-CHARGER = (-0.7, -0.7)  # m from the middle of the room
-CHARGER_RADIUS = 0.2  # m
-START_NOISE = 0.05  # m
-IDLE_DRAIN = 1 / 160  # of a full battery in a control step; the room is crossed in sixty
-FORCE_DRAIN = 1 / 480  # the same at full force on both axes, on top
-CHARGE = 0.1  # of a full battery in a control step on the charger
-# What `mocap_pos` of the body "battery" holds: it has no shape, and nothing touches it.
-ENERGY, CHARGED = 0, 1
+CHARGER_POSITION = (0.5, 0.5)  # m to the right of and above the middle
+CHARGER_RADIUS = 0.2  # m; four control steps at full speed, so the point cannot jump over it
+CHARGE_PER_STEP = 0.1  # of the battery
+DRAIN_PER_STEP = 1 / 200  # of the battery at rest; twice that at full force on both axes
+
+ENERGY, CHARGED = range(2)  # in `userdata`, both in batteries
 
 
-class BatteryRover(Room):
-    """Keep the battery alive: only the charger in the south-west corner pays, and only the hungry.
+class BatteryRover(PointRoom):
+    """Wander as far as the battery carries, and be back at the charger before it is empty.
 
-    The point starts on the charger with a full battery, which lasts for 120 to 160 control steps.
-    On the charger up to a tenth of it is filled in a step, and the reward is what was filled in
-    units of that, so it counts the energy that was brought home. A battery that is empty ends the
-    episode. The episode is a success once a step has filled a whole tenth. Every `info` holds
-    `cell`; `energy`, from 0 to 1; and `starved`, whether the battery is empty.
+    The rover starts at rest near the middle of the room with a full battery, of which every step
+    drains 1/200, plus as much again times the mean square of the action: it lasts for 100 steps
+    at full force, 150 of random pushes, 200 at rest. The charger, a disc in the top right quarter,
+    gives back a tenth of the battery per step, and nothing drains there. A step pays what it has
+    charged in tenths of the battery, so one at most and nothing once the battery is full. An
+    empty battery ends the episode. The episode is a success once the rover has filled half of its
+    battery in one go, as one does that has ranged far and come back. Every `info` holds `energy`,
+    1 for a full battery, `starved`, whether it is empty, and `cell`, the index in
+    `range(num_cells)` of the cell the rover is in.
 
-    Observation: position in half rooms (1 m) to the east and north, velocity in m/s, and energy.
+    Observation: position in half rooms (1 m) to the right and up, velocity in m/s, and energy.
 
     Args:
-        action_cost: Reward lost per step at full force.
+        action_cost: Reward lost per step at full force on both axes.
         render_mode: `"rgb_array"` or None.
     """
 
+    hold_time = 5 * CONTROL_STEP  # half a battery, at a tenth for every step
+
     def __init__(self, action_cost: float = 0.0, render_mode: str | None = None) -> None:
-        spec = room_spec(CHARGER, CHARGER_RADIUS)
-        spec.worldbody.add_body(name="battery", mocap=True)
         super().__init__(
-            spec.compile(),
-            observation_bound=(1.0, 1.0, SPEED_BOUND, SPEED_BOUND, 1.0),
+            battery_rover_spec(),
+            extra_bound=(1.0,),
             action_cost=action_cost,
             render_mode=render_mode,
         )
 
     @property
     def energy(self) -> Array64:
-        """Charge of the battery, from 0 to 1."""
-        return self.mocap_pos[..., 0, ENERGY]
+        """What is left in the battery, 1 when full."""
+        return self.userdata[..., ENERGY]
+
+    @property
+    def starved(self) -> Array:
+        """Whether the battery is empty."""
+        return self.energy <= 0
 
     @property
     def on_charger(self) -> Array:
-        """Whether the point is on the charger."""
-        return np.hypot(*(self.position - CHARGER).T).T < CHARGER_RADIUS
+        """Whether the middle of the rover is over the charger."""
+        x, y = CHARGER_POSITION
+        distance = np.hypot(self.position[..., 0] - x, self.position[..., 1] - y)
+        return distance < CHARGER_RADIUS
 
     def initialize_episode(self) -> None:
-        """Put the point on the charger, at rest, with a full battery."""
-        self.qpos[:] = CHARGER + self.np_random.uniform(-START_NOISE, START_NOISE, size=2)
-        self.mocap_pos[0] = 1.0, 0.0, 0.0
+        """Put the rover near the middle, its battery full."""
+        super().initialize_episode()
+        self.userdata[ENERGY] = 1.0
 
     def advance(self, control: Array64) -> None:
-        """Drain the battery, then fill it where the point is on the charger."""
-        drain = IDLE_DRAIN + FORCE_DRAIN * np.square(control).mean(-1)
-        left = np.maximum(self.energy - drain, 0.0)
-        filled = np.where(self.on_charger, np.minimum(CHARGE, 1.0 - left), 0.0)
-        self.mocap_pos[..., 0, ENERGY] = left + filled
-        self.mocap_pos[..., 0, CHARGED] = filled
+        """Charge on the charger, drain elsewhere."""
+        energy, charging = self.energy, self.on_charger
+        charged = np.minimum(1.0 - energy, CHARGE_PER_STEP)
+        drained = DRAIN_PER_STEP * (1.0 + np.square(control).mean(-1))
+        fuller, emptier = np.minimum(energy + charged, 1.0), np.maximum(energy - drained, 0.0)
+        self.userdata[..., CHARGED] = np.where(charging, charged, 0.0)
+        self.userdata[..., ENERGY] = np.where(charging, fuller, emptier)
 
     def get_observation(self) -> Array64:
-        """Scaled position and velocity, and the charge."""
-        return np.concatenate((self.get_motion(), self.energy[..., None]), axis=-1)
+        """Position, velocity and energy."""
+        return np.concatenate((self.scaled_motion, self.energy[..., None]), axis=-1)
 
     def get_reward(self) -> Array64:
-        """What the step has filled, in units of the most that a step can."""
-        return self.mocap_pos[..., 0, CHARGED] / CHARGE
+        """What the step has charged, of what a step can."""
+        return self.userdata[..., CHARGED] / CHARGE_PER_STEP
 
     def is_terminated(self) -> Array:
-        """Whether the battery is empty."""
-        return np.asarray(self.energy <= 0.0)
+        """Whether the rover has starved."""
+        return self.starved
 
     def get_info(self) -> dict[str, Array]:
-        """Index of the cell, charge, and whether the battery is empty."""
-        return super().get_info() | {
-            "energy": np.array(self.energy),
-            "starved": self.is_terminated(),
-        }
+        """State of the battery, and the cell of the rover."""
+        return {"energy": self.energy.copy(), "starved": self.starved, "cell": self.cell}
+
+
+def battery_rover_spec() -> mujoco.MjSpec:
+    """The room with the charger in its place."""
+    spec = load_spec("room.xml")
+    spec.nuserdata = 2
+    spec.worldbody.add_site(
+        name="charger",
+        type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+        pos=[*CHARGER_POSITION, -0.045],
+        size=[CHARGER_RADIUS, 0.005, 0],
+        rgba=[0.2, 0.7, 0.3, 1],
+    )
+    return spec
 
 
 BatteryRoverVector = partial(MujocoVectorEnv, BatteryRover)

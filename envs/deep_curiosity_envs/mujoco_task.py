@@ -32,12 +32,11 @@ class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
     `info` holds `is_success`. An episode is a function of the seed given to `reset` and of the
     actions.
 
-    What a task sees, pays and tells is a function of `qpos`, `qvel` and `mocap_pos`, and is
-    written for any number of worlds: their axis, where there is one, comes first, so that
+    What a task sees, pays and tells is a function of `qpos`, `qvel`, `mocap_pos` and `userdata`,
+    and is written for any number of worlds: their axis, where there is one, comes first, so that
     coordinates are taken from the right, `self.qpos[..., 0]`. Here these are the arrays of the one
-    world in `data`; `over` gives the same task of many. What a task remembers beyond the physics,
-    such as the charge of a battery, is kept in the `mocap_pos` of a body that nothing touches, and
-    goes on in `advance`.
+    world in `data`; `over` gives the same task of many. What a task remembers beside the physics
+    lives in `userdata`, which is zero when an episode begins and which `advance` carries on.
 
     Args:
         model: The compiled MuJoCo model; every actuator has the control range [-1, 1].
@@ -72,6 +71,7 @@ class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
             raise ValueError(f'`render_mode` must be None or "rgb_array", got {render_mode!r}.')
         self.model, self.data = model, mujoco.MjData(model)
         self.qpos, self.qvel, self.mocap_pos = self.data.qpos, self.data.qvel, self.data.mocap_pos
+        self.userdata = self.data.userdata
         self.action_cost, self.render_mode = action_cost, render_mode
         bound = np.asarray(observation_bound, dtype=np.float32)
         self.observation_space = gymnasium.spaces.Box(-bound, bound, dtype=np.float32)
@@ -85,6 +85,13 @@ class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
     def initialize_episode(self) -> None:
         """Place the bodies of one world; random draws come from `self.np_random`."""
 
+    def advance(self, control: Array64) -> None:
+        """Carry `userdata` on by one control step, after the physics; by default it stays.
+
+        Args:
+            control: The clipped actions, `(*worlds, action_dim)`.
+        """
+
     @abc.abstractmethod
     def get_observation(self) -> Array64:
         """What the agent sees of the present state, `(*worlds, observation_dim)`."""
@@ -92,13 +99,6 @@ class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
     @abc.abstractmethod
     def get_reward(self) -> Array64:
         """Reward of the present state in [0, 1], without the action's cost, `(*worlds,)`."""
-
-    def advance(self, control: Array64) -> None:
-        """Let what the task itself remembers go one control step on; by default nothing.
-
-        Args:
-            control: The clipped actions, `(*worlds, action_dim)`.
-        """
 
     def is_success(self) -> Array:
         """Whether the task has been solved in this episode, `(*worlds,)`."""
@@ -136,16 +136,20 @@ class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
         cost = self.action_cost * np.square(control).sum(-1) / control.shape[-1]
         return self.observe(), reward - cost, self.is_terminated(), self.inform()
 
-    def over(self, qpos: Array64, qvel: Array64, mocap_pos: Array64) -> "MujocoTask":
+    def over(
+        self, qpos: Array64, qvel: Array64, mocap_pos: Array64, userdata: Array64
+    ) -> "MujocoTask":
         """The same task of many worlds, which are these arrays; it can conclude but not step.
 
         Args:
             qpos: `(num_worlds, nq)`.
             qvel: `(num_worlds, nv)`.
             mocap_pos: `(num_worlds, nmocap, 3)`.
+            userdata: `(num_worlds, nuserdata)`.
         """
         worlds = copy.copy(self)
         worlds.qpos, worlds.qvel, worlds.mocap_pos = qpos, qvel, mocap_pos
+        worlds.userdata = userdata
         worlds.hold = Hold(self.hold.num_steps, num_worlds=len(qpos))
         return worlds
 

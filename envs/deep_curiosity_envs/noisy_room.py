@@ -1,118 +1,137 @@
-"""A room with pure noise in one corner: what a curious agent should not care for."""
+"""A room with a corner that shows nothing but noise."""
 
 from functools import partial
 from typing import ClassVar
 
+import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from deep_curiosity_envs.mujoco_task import Array, Array64
-from deep_curiosity_envs.room import (
-    CELLS_PER_SIDE,
-    HALF_ROOM,
-    SPEED_BOUND,
-    Room,
-    room_spec,
-)
+from deep_curiosity_envs.mujoco_task import Array, Array64, load_spec
+from deep_curiosity_envs.point_room import CELL_SIZE, CELLS_PER_SIDE, HALF_ROOM, PointRoom
 from deep_curiosity_envs.vector import MujocoVectorEnv
 
-NOISY_CELLS = 3  # on each side of the corner
-NOISY_FROM = HALF_ROOM * (1 - 2 * NOISY_CELLS / CELLS_PER_SIDE)  # m, on both axes
-START_NOISE = 0.1  # m
+NOISY_CELLS_PER_SIDE = 3
+CORNER = HALF_ROOM - NOISY_CELLS_PER_SIDE * CELL_SIZE  # m; right of and above it there is noise
 NUM_CHANNELS = 2
-KEYS = 2**31
-# What `mocap_pos` of the body "noise" holds: it has no shape, and nothing touches it.
-KEY, STEP, SWITCH = 0, 1, 2
+KEYS = 2**53  # float64, the kind of `userdata`, holds the integers below exactly
+
+KEY, STEP, SWITCHED_ON = range(3)  # in `userdata`
 
 
-def draws(key: Array64, step: Array64) -> Array64:
-    """Numbers in [-1, 1), two for each key and step, that look independent: splitmix64."""
-    counter = np.stack([NUM_CHANNELS * step + channel for channel in range(NUM_CHANNELS)], -1)
-    word = key.astype(np.uint64)[..., None] << np.uint64(32) | counter.astype(np.uint64)
-    return 2.0 * _scrambled(word) - 1.0
+def split_mix(key: NDArray[np.uint64], index: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """Member `index` of the random bits that `key` seeds, for arrays of one axis or more.
+
+    Being a function of both, it needs no generator that would have to be kept for every world.
+
+    Reference: Steele, Lea and Flood, "Fast Splittable Pseudorandom Number Generators" (2014),
+    https://doi.org/10.1145/2714064.2660195; the generator known as SplitMix64.
+    """
+    bits = key + (index + np.uint64(1)) * np.uint64(0x9E3779B97F4A7C15)
+    bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    bits = (bits ^ (bits >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return bits ^ (bits >> np.uint64(31))
 
 
-def _scrambled(word: NDArray[np.uint64]) -> Array64:
-    """A number in [0, 1) for each word."""
-    word = word * np.uint64(0x9E3779B97F4A7C15)
-    word = (word ^ (word >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    word = (word ^ (word >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return ((word ^ (word >> np.uint64(31))) >> np.uint64(11)).astype(np.float64) / 2.0**53
+class NoisyRoom(PointRoom):
+    """Nothing to gain, and noise to be caught by: a room whose top right corner flickers.
 
+    The point starts at rest near the middle. Nothing pays, and no episode is a success. Two
+    channels of the observation are zero, but independent and uniform in [-1, 1) at every step
+    that the point is in the corner, three by three cells large; the noise is a function of the
+    seed given to `reset` and of the step. Every `info` holds `noisy`, whether the channels now
+    flicker, and `cell`, the index in `range(num_cells)` of the cell the point is in.
 
-class NoisyRoom(Room):
-    """Wander about a room in whose north-east corner two senses show nothing but noise.
-
-    Nothing pays. The point starts near the middle. In the corner, nine cells of a hundred, the two
-    noise channels are drawn anew at every step, uniformly; elsewhere they are zero. With `switch`
-    there is no such corner: a third action above zero turns the noise on, wherever the point is.
-    Every `info` holds `cell`, and `noisy`, whether there is noise at this step.
-
-    Observation: position in half rooms (1 m) to the east and north, velocity in m/s, and the two
-    noise channels.
+    Observation: position in half rooms (1 m) to the right and up, velocity in m/s, and both
+    channels.
 
     Args:
+        switch: Let the agent make the noise instead of the corner: a third coordinate of the
+            action switches it on, wherever the point is, for every step that it is positive.
         action_cost: Reward lost per step at full action.
-        switch: Whether an action turns the noise on instead of a place.
         render_mode: `"rgb_array"` or None.
     """
 
-    noisy_share: ClassVar[float] = (NOISY_CELLS / CELLS_PER_SIDE) ** 2
+    noisy_share: ClassVar[float] = NOISY_CELLS_PER_SIDE**2 / CELLS_PER_SIDE**2
+    """Share of the cells that are in the noisy corner."""
 
     def __init__(
-        self, action_cost: float = 0.0, switch: bool = False, render_mode: str | None = None
+        self,
+        switch: bool = False,
+        action_cost: float = 0.0,
+        render_mode: str | None = None,
     ) -> None:
-        middle = (NOISY_FROM + HALF_ROOM) / 2
-        spec = room_spec((middle, middle), HALF_ROOM - middle)
-        spec.worldbody.add_body(name="noise", mocap=True)
-        if switch:
-            idle = spec.actuator("force_x")
-            spec.add_actuator(
-                name="switch",
-                trntype=idle.trntype,
-                target=idle.target,
-                gear=np.zeros(6),
-                ctrllimited=idle.ctrllimited,
-                ctrlrange=idle.ctrlrange,
-            )
         super().__init__(
-            spec.compile(),
-            observation_bound=(1.0, 1.0, SPEED_BOUND, SPEED_BOUND, 1.0, 1.0),
+            noisy_room_spec(bool(switch)),
+            extra_bound=(1.0,) * NUM_CHANNELS,
             action_cost=action_cost,
             render_mode=render_mode,
         )
-        self.switch = switch
+        self.switch = bool(switch)
 
     @property
     def noisy(self) -> Array:
-        """Whether there is noise at this step."""
+        """Whether the channels flicker."""
         if self.switch:
-            return np.asarray(self.mocap_pos[..., 0, SWITCH] > 0)
-        return np.asarray((self.position > NOISY_FROM).all(-1))
+            return self.userdata[..., SWITCHED_ON] > 0
+        return self.position.min(-1) > CORNER
+
+    @property
+    def noise(self) -> Array64:
+        """What the channels show when they flicker, in [-1, 1), `(*worlds, 2)`."""
+        key = self.userdata[..., KEY, None].astype(np.uint64)
+        index = NUM_CHANNELS * self.userdata[..., STEP, None] + np.arange(NUM_CHANNELS)
+        bits = split_mix(key, index.astype(np.uint64)) >> np.uint64(11)
+        return bits.astype(np.float64) * 2.0**-52 - 1.0
 
     def initialize_episode(self) -> None:
-        """Put the point near the middle, at rest, and draw the key of the episode's noise."""
-        self.qpos[:] = self.np_random.uniform(-START_NOISE, START_NOISE, size=2)
-        self.mocap_pos[0] = self.np_random.integers(KEYS), 0, 0
+        """Put the point near the middle, and draw the key to the episode's noise."""
+        super().initialize_episode()
+        self.userdata[KEY] = self.np_random.integers(KEYS)
 
     def advance(self, control: Array64) -> None:
-        """Count the step, and remember the switch."""
-        self.mocap_pos[..., 0, STEP] += 1
+        """Count the step, and see where the switch stands."""
+        self.userdata[..., STEP] += 1
         if self.switch:
-            self.mocap_pos[..., 0, SWITCH] = control[..., 2] > 0
+            self.userdata[..., SWITCHED_ON] = control[..., -1] > 0
 
     def get_observation(self) -> Array64:
-        """Scaled position and velocity, and the noise channels."""
-        noise = draws(self.mocap_pos[..., 0, KEY], self.mocap_pos[..., 0, STEP])
-        return np.concatenate((self.get_motion(), noise * self.noisy[..., None]), axis=-1)
+        """Position, velocity and the channels."""
+        channels = np.where(self.noisy[..., None], self.noise, 0.0)
+        return np.concatenate((self.scaled_motion, channels), axis=-1)
 
     def get_reward(self) -> Array64:
-        """Nothing pays."""
+        """Nothing."""
         return np.zeros(self.position.shape[:-1])
 
     def get_info(self) -> dict[str, Array]:
-        """Index of the cell the point is in, and whether there is noise."""
-        return super().get_info() | {"noisy": self.noisy}
+        """Whether there is noise, and the cell of the point."""
+        return {"noisy": self.noisy, "cell": self.cell}
+
+
+def noisy_room_spec(switch: bool) -> mujoco.MjSpec:
+    """The room with its corner marked, or with an actuator for the switch that moves nothing."""
+    spec = load_spec("room.xml")
+    spec.nuserdata = 3
+    if switch:
+        spec.add_actuator(
+            name="switch",
+            trntype=mujoco.mjtTrn.mjTRN_JOINT,
+            target="x",
+            gear=[0, 0, 0, 0, 0, 0],
+            ctrlrange=[-1, 1],
+            ctrllimited=True,
+        )
+        return spec
+    half, middle = (HALF_ROOM - CORNER) / 2, (HALF_ROOM + CORNER) / 2
+    spec.worldbody.add_site(
+        name="noisy_corner",
+        type=mujoco.mjtGeom.mjGEOM_BOX,
+        pos=[middle, middle, -0.045],
+        size=[half, half, 0.005],
+        rgba=[0.6, 0.6, 0.8, 1],
+    )
+    return spec
 
 
 NoisyRoomVector = partial(MujocoVectorEnv, NoisyRoom)

@@ -16,24 +16,6 @@ SLOW_SPEED = 1.0  # rad/s; a free fall through the bottom is nine times as fast
 SPEED_SCALE = 8.0  # rad/s; about the speed at the bottom of a fall from upright
 SPEED_BOUND = 4.0  # in units of SPEED_SCALE; the motor cannot spin the pole faster
 START_NOISE = 0.01  # rad and rad/s; breaks the symmetry between left and right
-FEATURE_BOUNDS = (1.0, 1.0, SPEED_BOUND)
-
-
-def pendulum_model(num_motors: int) -> mujoco.MjModel:
-    """The pole with motors that share the torque of one."""
-    spec = load_spec("pendulum.xml")
-    torque = spec.actuator("torque")
-    torque.gear[0] /= num_motors
-    for number in range(1, num_motors):
-        spec.add_actuator(
-            name=f"torque_{number}",
-            trntype=torque.trntype,
-            target=torque.target,
-            gear=torque.gear,
-            ctrllimited=torque.ctrllimited,
-            ctrlrange=torque.ctrlrange,
-        )
-    return spec.compile()
 
 
 class PendulumSwingup(MujocoTask):
@@ -52,17 +34,20 @@ class PendulumSwingup(MujocoTask):
     """
 
     hold_time = 1.0
-    num_motors: ClassVar[int] = 1
-    observed: ClassVar[tuple[int, ...]] = (0, 1, 2)
-    """Features that make up the observation: cosine, sine, speed."""
+    observation_bound: ClassVar[tuple[float, ...]] = (1.0, 1.0, SPEED_BOUND)
 
     def __init__(self, action_cost: float = 0.0, render_mode: str | None = None) -> None:
         super().__init__(
-            pendulum_model(self.num_motors),
-            observation_bound=[FEATURE_BOUNDS[feature] for feature in self.observed],
+            self.make_model(),
+            observation_bound=self.observation_bound,
             action_cost=action_cost,
             render_mode=render_mode,
         )
+
+    @staticmethod
+    def make_model() -> mujoco.MjModel:
+        """The pole with its motor."""
+        return load_spec("pendulum.xml").compile()
 
     @property
     def pole_angle(self) -> Array64:
@@ -83,8 +68,7 @@ class PendulumSwingup(MujocoTask):
     def get_observation(self) -> Array64:
         """Direction of the pole and its scaled speed."""
         angle, speed = self.pole_angle, self.pole_speed
-        features = np.cos(angle), np.sin(angle), speed / SPEED_SCALE
-        return np.array([features[feature] for feature in self.observed]).T
+        return np.array((np.cos(angle), np.sin(angle), speed / SPEED_SCALE)).T
 
     def get_reward(self) -> Array64:
         """One while upright and slow, else zero."""
@@ -93,32 +77,4 @@ class PendulumSwingup(MujocoTask):
         return upright * slow
 
 
-class PendulumHiddenVelocity(PendulumSwingup):
-    """The same pole, seen without its speed: one observation no longer tells what comes next.
-
-    Observation: cosine and sine of the pole's angle from upright.
-
-    Args:
-        action_cost: Reward lost per step at full torque.
-        render_mode: `"rgb_array"` or None.
-    """
-
-    observed = (0, 1)
-
-
-class ManyMotors(PendulumSwingup):
-    """The same pole, driven by twelve motors that share the torque of its one.
-
-    What moves the pole is the mean of the twelve commands: eleven of them are never needed.
-
-    Args:
-        action_cost: Reward lost per step at full torque of all motors.
-        render_mode: `"rgb_array"` or None.
-    """
-
-    num_motors = 12
-
-
 PendulumSwingupVector = partial(MujocoVectorEnv, PendulumSwingup)
-PendulumHiddenVelocityVector = partial(MujocoVectorEnv, PendulumHiddenVelocity)
-ManyMotorsVector = partial(MujocoVectorEnv, ManyMotors)

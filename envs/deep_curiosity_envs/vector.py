@@ -81,10 +81,12 @@ class MujocoVectorEnv(VectorEnv[Array32, Array32, Array]):
         self._state = np.zeros((self.num_envs, state_dim))  # time, qpos, qvel
         self._states = np.zeros((self.num_envs, num_steps, state_dim))
         self._control = np.zeros((self.num_envs, num_steps, control_dim))  # ctrl, mocap_pos
+        self._userdata = np.zeros((self.num_envs, model.nuserdata))  # MuJoCo leaves it alone
         self._worlds = self._task.over(
             self._state[:, 1 : 1 + model.nq],
             self._state[:, 1 + model.nq : 1 + model.nq + model.nv],
             self._control[:, 0, model.nu :].reshape(self.num_envs, model.nmocap, 3),
+            self._userdata,
         )
 
     def reset(
@@ -160,6 +162,7 @@ class MujocoVectorEnv(VectorEnv[Array32, Array32, Array]):
         self._generators[world] = task.np_random
         mujoco.mj_getState(task.model, task.data, self._state[world], STATE)
         self._control[world, :, task.model.nu :] = task.mocap_pos.ravel()
+        self._userdata[world] = task.userdata
 
 
 def _masked(info: dict[str, Array], mask: Array) -> dict[str, Array]:

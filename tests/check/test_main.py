@@ -20,6 +20,13 @@ def test_a_task_is_profiled_and_the_bonus_checked():
         assert told in done.stdout
 
 
+def test_the_window_that_is_asked_for_is_profiled():
+    done = check("PendulumSwingup", "--history", "2", "--num-steps", "300", "--num-updates", "1")
+    assert done.returncode == 0, done.stderr
+    features = [line.split()[0] for line in done.stdout.splitlines() if line[:9].strip().isdigit()]
+    assert features == [str(number) for number in range(2 * 3 + 1)]
+
+
 def test_a_useless_bonus_is_told_by_the_exit_status():
     done = check("PendulumSwingup", "--num-steps", "100", "--bonus", "constant")
     assert done.returncode == 1 and "not constant  NO" in done.stdout

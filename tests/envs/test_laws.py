@@ -15,7 +15,7 @@ from gymnasium.utils.env_checker import check_env
 import deep_curiosity_envs
 from deep_curiosity_envs import TASK_IDS
 
-NUM_STEPS = 320  # longer than any episode
+NUM_STEPS = 420  # longer than any episode
 
 NAMED_KINDS = {
     mujoco.mjtObj.mjOBJ_BODY: "nbody",

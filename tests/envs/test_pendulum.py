@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from deep_curiosity_envs import ManyMotors, PendulumHiddenVelocity, PendulumSwingup
+from deep_curiosity_envs import PendulumSwingup
 
 EPISODE_STEPS = 200
 GRAVITY_TORQUE = 1.0 * 9.81 * 0.5  # N m: mass, gravity, length
@@ -97,21 +97,3 @@ def test_success_needs_one_second_of_holding(env):
     place(env, 0.0)
     successes = [env.step(swing_up(env))[4]["is_success"] for _ in range(21)]
     assert successes == [False] * 19 + [True] * 2
-
-
-def test_what_hides_the_speed_shows_the_rest_of_the_same_pole():
-    whole, hidden = PendulumSwingup(), PendulumHiddenVelocity()
-    assert whole.reset(seed=3)[0][:2].tolist() == hidden.reset(seed=3)[0].tolist()
-    for action in np.random.default_rng(0).uniform(-1, 1, (50, 1)):
-        seen, part = whole.step(action), hidden.step(action)
-        assert seen[0][:2].tolist() == part[0].tolist() and seen[1:4] == part[1:4]
-    assert hidden.observation_space.shape == (2,)
-
-
-def test_twelve_motors_move_the_pole_by_their_mean():
-    one, many = PendulumSwingup(), ManyMotors()
-    assert many.action_space.shape == (12,)
-    one.reset(seed=3), many.reset(seed=3)
-    for action in np.random.default_rng(0).uniform(-1, 1, (50, 12)):
-        expected = one.step(action.mean(keepdims=True))
-        assert many.step(action)[0] == pytest.approx(expected[0], abs=1e-6)

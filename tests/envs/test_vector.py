@@ -10,7 +10,7 @@ from deep_curiosity_envs import TASK_IDS, MujocoVectorEnv, PendulumSwingup, Poin
 from deep_curiosity_envs.point_maze import cell_centre, find_cell
 
 NUM_ENVS = 4
-NUM_STEPS = 320  # longer than any episode
+NUM_STEPS = 420  # longer than any episode
 CONTACT_TOLERANCE = 1e-5  # of float32 observations, where contact forces are found afresh
 
 
@@ -191,7 +191,7 @@ def test_what_has_no_meaning_is_named(kwargs, message):
 def test_bad_actions_seeds_and_masks_are_named(task_id):
     native = make(task_id)
     native.reset(seed=0)
-    with pytest.raises(ValueError, match=r"`action` must have shape \(4, \d+\), got shape \(7,\)"):
+    with pytest.raises(ValueError, match=r"`action` must have shape \(4, .+\), got shape \(7,\)"):
         native.step(np.zeros(7))
     with pytest.raises(ValueError, match="`action` must be finite"):
         native.step(np.full(native.action_space.shape, np.nan))

@@ -82,6 +82,20 @@ def test_a_resumed_run_equals_an_uninterrupted_one_bit_for_bit(tiny, tmp_path, b
     assert rows(whole.out)[-1] == rows(halves.out)[-1] != rows(whole.out)[-2]
 
 
+@pytest.mark.parametrize("num_envs", [1, 3])
+def test_a_resumed_run_with_a_history_equals_an_uninterrupted_one(tiny, tmp_path, num_envs):
+    hidden = replace(tiny, env_id="PendulumHiddenVelocity", history=3, num_envs=num_envs)
+    whole = replace(hidden, total_steps=90, out=tmp_path / "whole")
+    halves = replace(whole, total_steps=45, out=tmp_path / "halves")
+    train(whole, show_progress=False)
+    train(halves, show_progress=False)
+    train(replace(whole, resume=halves.out), show_progress=False)
+    for part in ("learner", "collector"):
+        assert_same_state(load_checkpoint(whole.out)[part], load_checkpoint(halves.out)[part])
+    assert load_checkpoint(whole.out)["collector"]["observation"].shape[-1] == 3 * 2 + 2 * 1
+    assert rows(whole.out)[-1] == rows(halves.out)[-1] != rows(whole.out)[-2]
+
+
 @pytest.mark.parametrize("vectorization", ["native", "sync"])
 def test_a_resumed_run_of_several_worlds_equals_an_uninterrupted_one(
     tiny, tmp_path, vectorization
@@ -328,6 +342,7 @@ def test_ctrl_c_ends_after_the_step_with_a_checkpoint(tiny, monkeypatch, capsys)
         {"refresh_interval": 1},
         {"batch_size": 16},
         {"hidden_dim": 8},
+        {"history": 3},
     ],
     ids=str,
 )
@@ -370,6 +385,7 @@ def test_forgetting_without_a_horizon_is_rejected():
     ("change", "message"),
     [
         ({"total_steps": 0}, "`total_steps` must be at least 1, got 0"),
+        ({"history": 0}, "`history` must be at least 1, got 0"),
         ({"num_envs": 0}, "`num_envs` must be at least 1, got 0"),
         ({"update_to_data": 0.0}, "`update_to_data` must be positive, got 0.0"),
         ({"update_to_data": float("inf")}, "`update_to_data` must be finite, got inf"),

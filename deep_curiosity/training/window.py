@@ -1,0 +1,126 @@
+"""Windows of the latest observations and actions, for tasks that show only part of their state.
+
+A window is the latest observations with the actions between them, flattened in the order in which
+they came: observation, action, observation, and so on, the newest observation last. When an
+episode begins, its first observation stands for those before it, and zero for the actions.
+"""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
+from gymnasium.vector.utils import batch_space
+
+
+class HistoryWindow(gymnasium.Wrapper):
+    """Shows a window in the place of the observation.
+
+    Args:
+        env: Its observations and actions are vectors.
+        history: Observations in a window; actions are one fewer.
+
+    Raises:
+        ValueError: If `history` is below one.
+    """
+
+    def __init__(self, env: gymnasium.Env, history: int) -> None:
+        super().__init__(env)
+        self.history = history
+        self.observation_space = window_space(env.observation_space, env.action_space, history)
+        self._window: np.ndarray
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin an episode, and forget the one before."""
+        observation, info = self.env.reset(seed=seed, options=options)
+        self._window = first_window(observation, self.action_space, self.history)
+        return self._window, info
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, Any, bool, bool, dict[str, Any]]:
+        """Move the window by one step."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        self._window = next_window(self._window, action, observation, self.action_space)
+        return self._window, reward, terminated, truncated, info
+
+
+class VectorHistoryWindow(VectorWrapper):
+    """Shows a window of every world, each as `HistoryWindow` would.
+
+    Args:
+        env: Its autoreset is disabled, so that a world begins anew only when it is told to.
+        history: Observations in a window; actions are one fewer.
+
+    Raises:
+        ValueError: If `history` is below one, or the worlds reset by themselves.
+    """
+
+    def __init__(self, env: VectorEnv, history: int) -> None:
+        super().__init__(env)
+        mode = env.metadata.get("autoreset_mode")
+        if mode is not AutoresetMode.DISABLED:
+            raise ValueError(f"`env` must have its autoreset disabled, got {mode}.")
+        self.history = history
+        space = window_space(env.single_observation_space, env.single_action_space, history)
+        self.single_observation_space = space
+        self.observation_space = batch_space(space, env.num_envs)
+        self._window = np.zeros((env.num_envs, *space.shape), space.dtype)
+
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin an episode in every world, or in those of `options["reset_mask"]`."""
+        everywhere = np.ones(self.num_envs, dtype=bool)
+        mask = (options or {}).get("reset_mask", everywhere)  # before Gymnasium takes it out
+        observation, info = self.env.reset(seed=seed, options=options)
+        first = first_window(observation, self.single_action_space, self.history)
+        self._window = np.where(mask[:, None], first, self._window)
+        return self._window, info
+
+    def step(
+        self, actions: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
+        """Move every window by one step."""
+        observation, reward, terminated, truncated, info = self.env.step(actions)
+        self._window = next_window(self._window, actions, observation, self.single_action_space)
+        return self._window, reward, terminated, truncated, info
+
+
+def window_space(
+    observation_space: spaces.Space, action_space: spaces.Space, history: int
+) -> spaces.Box:
+    """Space of the windows over both spaces, which are boxes of vectors.
+
+    Raises:
+        ValueError: If `history` is below one.
+    """
+    if history < 1:
+        raise ValueError(f"`history` must be at least 1, got {history}.")
+    assert isinstance(observation_space, spaces.Box) and isinstance(action_space, spaces.Box)
+    low, high = (
+        np.concatenate([*[observation, action] * (history - 1), observation])
+        for observation, action in (
+            (observation_space.low, action_space.low),
+            (observation_space.high, action_space.high),
+        )
+    )
+    return spaces.Box(low, high, dtype=observation_space.dtype.type)
+
+
+def first_window(observation: np.ndarray, action_space: spaces.Space, history: int) -> np.ndarray:
+    """Windows at the start of episodes, `(*worlds, window_dim)`."""
+    idle = np.zeros((*observation.shape[:-1], *(action_space.shape or ())), observation.dtype)
+    past = np.concatenate((observation, idle), axis=-1)
+    return np.concatenate((np.tile(past, history - 1), observation), axis=-1)
+
+
+def next_window(
+    window: np.ndarray, action: np.ndarray, observation: np.ndarray, action_space: spaces.Space
+) -> np.ndarray:
+    """Windows one step later, with the action as the space clips it, `(*worlds, window_dim)`."""
+    assert isinstance(action_space, spaces.Box)
+    taken = np.clip(action, action_space.low, action_space.high).astype(window.dtype)
+    longer = np.concatenate((window, taken, observation), axis=-1)
+    return longer[..., -window.shape[-1] :]
