@@ -1,5 +1,6 @@
 """The learner: agent, bonus, its optimiser and replay, assembled from settings."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -253,9 +254,22 @@ def make_run_bonus(settings: Settings, observation_dim: int, action_dim: int) ->
         refresh_interval=settings.refresh_interval,
         member_per_row=settings.member_per_row,
         whitening=settings.whitening,
-        features=settings.features or None,
+        features=features_of(settings, observation_dim, action_dim),
         parts=settings.bonus_parts or None,
     )
+
+
+def features_of(settings: Settings, observation_dim: int, action_dim: int) -> Sequence[int] | None:
+    """Entries that curiosity is about: those asked for, or the newest observation of a window.
+
+    The rest of the next window is known from the present one.
+    """
+    if settings.features:
+        return settings.features
+    if settings.history == 1:
+        return None
+    newest = (observation_dim - (settings.history - 1) * action_dim) // settings.history
+    return range(-newest, 0)
 
 
 def _make_rival(settings: Settings, observation_dim: int, action_dim: int) -> Bonus:

@@ -115,7 +115,7 @@ class Settings:
     """Of Adam, for the models."""
     features: tuple[int, ...] = ()
     """Entries of the observation that curiosity is about, from the end where negative; all by
-    default."""
+    default, or with a history the newest observation."""
     noise_floor: float = 0.05
     """Resolution at which the agent sees, in standard deviations of the observation."""
     whitening: Literal["moments", "robust"] = "moments"

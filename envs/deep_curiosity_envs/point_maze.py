@@ -139,7 +139,7 @@ class PointMaze(MujocoTask):
             action_cost=action_cost,
             render_mode=render_mode,
         )
-        self.goal_terminates = goal_terminates
+        self.goal_terminates = bool(goal_terminates)
 
     @property
     def position(self) -> Array64:

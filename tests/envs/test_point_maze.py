@@ -18,7 +18,7 @@ CORNERS = [(3, 16), (8, 16), (10, 3), find_cell("G")]  # the turns of the way
 
 @pytest.fixture
 def env():
-    env = PointMaze(goal_terminates=True)
+    env = PointMaze(goal_terminates=1.0)  # as the command line gives it
     env.reset(seed=0)
     return env
 

@@ -9,6 +9,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from deep_curiosity.training.collection import VectorCollector
 from deep_curiosity.training.environments import make_environment, make_vector_environment
 from deep_curiosity.training.integration import LearnerIntegration
+from deep_curiosity.training.learner import make_run_bonus
 from deep_curiosity.training.window import HistoryWindow, VectorHistoryWindow
 
 
@@ -138,3 +139,15 @@ def test_worlds_that_reset_by_themselves_are_rejected(mode):
 def test_the_check_looks_through_the_same_window(tiny):
     agent = LearnerIntegration(replace(tiny, history=3))
     assert agent.collect(5, seed=0).observation.shape == (5, 3 * 3 + 2 * 1)
+
+
+@pytest.mark.parametrize(
+    ("history", "asked", "entries"),
+    [(1, (), None), (3, (), [8, 9, 10]), (3, (0, -1), [0, 10])],
+)
+def test_curiosity_is_about_the_newest_observation_of_a_window(tiny, history, asked, entries):
+    """Of three entries, with one action between two observations."""
+    settings = replace(tiny, history=history, features=asked)
+    bonus = make_run_bonus(settings, 3 * history + history - 1, 1)
+    found = None if bonus.entries is None else bonus.entries.tolist()
+    assert found == entries
