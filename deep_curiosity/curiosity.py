@@ -28,6 +28,7 @@ from deep_curiosity.transitions import (
     check_counts,
     check_transition,
 )
+from deep_curiosity.weights import TunedWeight
 
 NUM_PROBES = 64  # pairs kept from the last refresh, on which the metrics are computed
 NUM_SAMPLES = 16  # draws from each member's prediction when the bonus is taken apart
@@ -92,6 +93,11 @@ class CuriosityBonus(Bonus):
             diagonal Gaussians make exact; of a function, the models predict the value itself (see
             `DynamicsEnsemble`), and a module is frozen for good.
         parts: Weight of each part of `D` that is rewarded, by name; `D` itself when `None`.
+        tune_weight: Let the weight follow what the policy earns where `observe` is given it, see
+            `TunedWeight`: `"past"` presses for curiosity while the policy of now earns less than
+            those of late, in standard deviations of the score; a number while its mean score is
+            below so many nats. `None` leaves the weight as it is.
+        weight_learning_rate: Step size of the log weight, for each call of `observe`.
 
     Raises:
         ValueError: If a count or a scale is out of range, a part unknown, or a feature no entry.
@@ -124,6 +130,8 @@ class CuriosityBonus(Bonus):
         whitening: Literal["moments", "robust"] = "moments",
         features: Sequence[int] | Features | None = None,
         parts: Mapping[str, float] | None = None,
+        tune_weight: Literal["past"] | float | None = None,
+        weight_learning_rate: float = 3e-4,
     ) -> None:
         super().__init__()
         check_counts(refresh_interval=refresh_interval)
@@ -155,6 +163,14 @@ class CuriosityBonus(Bonus):
             target_perplexity=target_perplexity,
         )
         self.standardization = Standardization(weight=weight, center=center, scale=scale)
+        self.tuned_weight = (
+            None
+            if tune_weight is None
+            else TunedWeight(
+                goal=None if tune_weight == "past" else tune_weight,
+                learning_rate=weight_learning_rate,
+            )
+        )
         self.pace = Pace(refresh_interval)
         self.register_buffer("probe_observation", torch.zeros(NUM_PROBES, observation_dim))
         self.register_buffer("probe_action", torch.zeros(NUM_PROBES, action_dim))
@@ -170,7 +186,8 @@ class CuriosityBonus(Bonus):
         Raises:
             RuntimeError: If nothing has been observed yet.
         """
-        return self.standardization(self._estimate(observation, action))
+        bonus = self.standardization(self._estimate(observation, action))
+        return bonus if self.tuned_weight is None else self.tuned_weight.factor * bonus
 
     def nats(
         self,
@@ -221,6 +238,8 @@ class CuriosityBonus(Bonus):
                 self._check_transition(fresh)
             self.dynamics.observe(transition)
             self._refresh(transition, fresh)
+            if self.tuned_weight is not None and policy is not None:
+                self._tune_weight(self.tuned_weight, fresh)
         self.pace.count()
 
     def decompose(
@@ -290,6 +309,8 @@ class CuriosityBonus(Bonus):
         information = self.marginal.information(
             torch.randn(shape, generator=generator).to(self.probe_observation)
         )
+        if self.tuned_weight is not None:
+            metrics["weight"] = self.standardization.weight * self.tuned_weight.factor
         return metrics | {
             "nats": upper.mean(),
             "nats_std": self.standardization.moments.scale[0],
@@ -381,6 +402,14 @@ class CuriosityBonus(Bonus):
         probes = torch.arange(NUM_PROBES, device=observation.device) % observation.shape[0]
         self.probe_observation.copy_(observation[probes])
         self.probe_action.copy_(action[probes])
+
+    def _tune_weight(self, tuned_weight: TunedWeight, fresh: Transition) -> None:
+        """Let the weight follow what the policy's own actions earn."""
+        earned = self._estimate(fresh.observation, fresh.action).mean()
+        if tuned_weight.goal is None:
+            moments = self.standardization.moments
+            earned = (earned - moments.mean[0]) / moments.scale[0]
+        tuned_weight.follow(earned, self.pace.interval)
 
     def _floor_share(self, prediction: Prediction) -> Tensor:
         """Mean share of the predicted variance that is the floor: at 1 the model is sharper."""

@@ -742,3 +742,29 @@ def test_bad_visited_states_are_rejected_and_change_nothing(reason):
     with pytest.raises((ValueError, TypeError)):
         bonus.observe(batch, visited=BAD_BATCHES[reason]())
     assert_unchanged(bonus, before)
+
+
+def staying(observation):
+    return torch.zeros(len(observation), 2)
+
+
+@pytest.mark.parametrize(("goal", "rises"), [(1e3, True), (-1e3, False)])
+def test_a_weight_with_a_goal_in_nats_rises_while_the_policy_earns_less(goal, rises):
+    bonus, batch = watchful_bonus(tune_weight=goal, refresh_interval=1)
+    assert bonus.metrics()["weight"].item() == pytest.approx(0.1)  # nothing earned, no policy
+    for _ in range(5):
+        bonus.observe(batch, staying)
+    weight = bonus.metrics()["weight"].item()
+    assert (weight > 0.1) is rises
+    standardised = bonus.standardization(bonus._estimate(batch.observation, batch.action))
+    expected = weight / 0.1 * standardised
+    torch.testing.assert_close(bonus(batch.observation, batch.action), expected)
+
+
+def test_a_weight_that_follows_the_past_is_earned_in_standard_deviations():
+    bonus, batch = watchful_bonus(tune_weight="past", refresh_interval=1)
+    bonus.tuned_weight.past.fill_(10.0)
+    bonus.observe(batch, staying)
+    earned = 10 - bonus.tuned_weight.log_factor.item() / 3e-4
+    assert abs(earned) < 10
+    assert "weight" not in watchful_bonus()[0].metrics()

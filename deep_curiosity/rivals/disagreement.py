@@ -1,6 +1,5 @@
 """Bonuses of models that disagree: their variance, and the information that it promises."""
 
-import math
 from collections.abc import Sequence
 
 import torch
@@ -12,8 +11,7 @@ from deep_curiosity.networks import StackedMLP, frozen
 from deep_curiosity.normalization import RunningMoments
 from deep_curiosity.rivals.foundation import RivalBonus
 from deep_curiosity.transitions import Transition
-
-PAST_DECAY = 0.995  # of the remembered gain: that of the authors' target networks
+from deep_curiosity.weights import TunedWeight
 
 
 class PointEnsemble(nn.Module):
@@ -127,8 +125,7 @@ class InformationGainBonus(RivalBonus):
 
     where the outcome `y` is the change of state and the reward. Its weight is tuned: it rises
     while the policy of now gains less than the policies of the recent past did, and falls while it
-    gains more. The authors compare with a slowly moving copy of the policy; here a slowly moving
-    average of the gain stands for it, so that any policy will do.
+    gains more, see `TunedWeight`.
 
     Args:
         observation_dim: Length of an observation.
@@ -149,9 +146,6 @@ class InformationGainBonus(RivalBonus):
     Reference: Sukhija et al., "MaxInfoRL: Boosting exploration in reinforcement learning through
     information gain maximization" (2024), https://arxiv.org/abs/2412.12098.
     """
-
-    log_factor: Tensor
-    past_gain: Tensor
 
     def __init__(
         self,
@@ -176,23 +170,17 @@ class InformationGainBonus(RivalBonus):
             scale=scale,
             refresh_interval=refresh_interval,
         )
-        for name, number in (
-            ("noise_std", noise_std),
-            ("weight_learning_rate", weight_learning_rate),
-        ):
-            if not 0 < number < math.inf:
-                raise ValueError(f"`{name}` must be positive and finite, got {number}.")
+        if not 0 < noise_std < float("inf"):
+            raise ValueError(f"`noise_std` must be positive and finite, got {noise_std}.")
         self.noise_std = noise_std
         self.tune_weight = tune_weight
-        self.weight_learning_rate = weight_learning_rate
+        self.tuned_weight = TunedWeight(learning_rate=weight_learning_rate)
         self.ensemble = PointEnsemble(
             observation_dim + action_dim,
             observation_dim + 1,
             members=members,
             hidden_dims=hidden_dims,
         )
-        self.register_buffer("log_factor", torch.zeros(()))
-        self.register_buffer("past_gain", torch.tensor(math.nan))
 
     def forward(
         self,
@@ -201,7 +189,7 @@ class InformationGainBonus(RivalBonus):
         next_observation: Float[Tensor, "batch observation_dim"] | None = None,
     ) -> Float[Tensor, " batch"]:
         """Weighted, standardised gain of each pair, differentiable in both."""
-        return self.log_factor.exp() * super().forward(observation, action, next_observation)
+        return self.tuned_weight.factor * super().forward(observation, action, next_observation)
 
     def score(
         self, observation: Tensor, action: Tensor, next_observation: Tensor | None
@@ -222,14 +210,11 @@ class InformationGainBonus(RivalBonus):
             return
         action = policy(transition.observation)
         gain = self.standardization(self.score(transition.observation, action, None)).mean()
-        past = torch.where(self.past_gain.isnan(), gain, self.past_gain)
-        interval = self.pace.interval  # one look stands for so many
-        self.log_factor.sub_(interval * self.weight_learning_rate * (gain - past))
-        self.past_gain.copy_(torch.lerp(gain, past, PAST_DECAY**interval))
+        self.tuned_weight.follow(gain, self.pace.interval)
 
     def metrics(self) -> dict[str, Tensor]:
         """Statistics of the gain, in nats a dimension, and the weight as it now stands."""
-        weight = self.standardization.weight * self.log_factor.exp()
+        weight = self.standardization.weight * self.tuned_weight.factor
         return super().metrics() | {"weight": weight}
 
 

@@ -256,6 +256,7 @@ def make_run_bonus(settings: Settings, observation_dim: int, action_dim: int) ->
         whitening=settings.whitening,
         features=features_of(settings, observation_dim, action_dim),
         parts=settings.bonus_parts or None,
+        tune_weight=settings.tune_bonus_weight,
     )
 
 

@@ -55,7 +55,10 @@ class Settings:
     """Curiosity; a rival, centred and scaled as curiosity is; the same constant for every step (a
     control); or plain soft actor-critic."""
     bonus_weight: float = 0.1
-    """Factor of the standardised bonus."""
+    """Factor of the standardised bonus, the first one where it is tuned."""
+    tune_bonus_weight: float | Literal["past"] | None = None
+    """Let curiosity's weight rise while the policy earns less than: past, what it earned of late;
+    or so many nats."""
     bonus_parts: dict[str, float] = field(default_factory=dict)
     """Weights of what curiosity is made of, instead of D as a whole: predictive_power,
     information_gain, negative_entropy, cross_entropy; such as: information_gain 1"""

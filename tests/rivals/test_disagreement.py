@@ -54,7 +54,7 @@ def test_the_gain_of_the_reward_counts_as_well():
 @pytest.mark.parametrize(("past", "rises"), [(5.0, True), (-5.0, False)])
 def test_the_weight_rises_while_the_policy_gains_less_than_it_did(past, rises):
     bonus = InformationGainBonus(3, 2, **SMALL)
-    bonus.past_gain.fill_(past)
+    bonus.tuned_weight.past.fill_(past)
     for _ in range(5):
         bonus.observe(transition(), lambda observation: torch.zeros(len(observation), 2))
     assert (bonus.metrics()["weight"] > 1).item() is rises
@@ -65,7 +65,7 @@ def test_the_weight_stays_without_a_policy_or_where_it_is_not_tuned():
         (InformationGainBonus(3, 2, **SMALL), None),
         (InformationGainBonus(3, 2, tune_weight=False, **SMALL), lambda o: torch.zeros(len(o), 2)),
     ):
-        bonus.past_gain.fill_(5.0)
+        bonus.tuned_weight.past.fill_(5.0)
         bonus.observe(transition(), policy)
         assert bonus.metrics()["weight"].item() == 1
 

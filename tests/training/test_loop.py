@@ -331,6 +331,8 @@ def test_ctrl_c_ends_after_the_step_with_a_checkpoint(tiny, monkeypatch, capsys)
         {"hunger_control": "linear"},
         {"hunger_control": "linear", "final_hunger": 0.1},
         {"curiosity_ends": 25},
+        {"tune_bonus_weight": "past"},
+        {"tune_bonus_weight": 50.0},
         {"hunger_control": "dial"},
         {"target_information_rate": 3.0},
         {"discount": 0.5},
