@@ -20,7 +20,14 @@ from deep_curiosity.training.collection import Collector, Episode, as_batch
 from deep_curiosity.training.environments import make_environment
 from deep_curiosity.training.playback import load_agent
 from deep_curiosity.training.records import read_progress
-from deep_curiosity.training.study import median_and_range, run_once, write_table
+from deep_curiosity.training.study import (
+    EVALUATION_TAG,
+    median_and_range,
+    run_once,
+    write_table,
+)
+from deep_curiosity_envs import NoisyRoom
+from deep_curiosity_envs.pendulum import SPEED_BOUND
 from deep_curiosity_envs.point_room import CELLS_PER_SIDE
 
 Row = dict[str, Any]
@@ -34,6 +41,10 @@ SMALL = Settings(hidden_dim=64, log_interval=500, evaluation_interval=2_000)
 PENDULUM = replace(SMALL, env_id="PendulumSwingup", env_kwargs={"action_cost": 0.1})
 MAZE = replace(SMALL, env_id="PointMaze", total_steps=16_000)
 CHEETAH = replace(SMALL, env_id="HalfCheetah-v5")
+HALVED = {"update_to_data": 0.5}
+WIDE = {"hidden_dim": 128, "total_steps": 30_000, "evaluation_interval": 1_500}
+NOISE_CHANNELS = slice(4, 6)  # of NoisyRoom's observation
+NOISE_RIVALS = ("curiosity", "rnd", "icm", "nearest-neighbours")
 
 
 @dataclass(frozen=True)
@@ -87,6 +98,33 @@ def measure_return(settings: Settings) -> list[Row]:
     ]
 
 
+def measure_area(settings: Settings) -> list[Row]:
+    """Mean return over all evaluations of a run, the area under its curve, and the last one."""
+    summary = run_once(settings)
+    evaluations = {
+        float(row["step"]): float(row[EVALUATION_TAG])
+        for row in read_progress(settings.out)
+        if float(row["step"]) % settings.evaluation_interval == 0
+    }
+    return [
+        {
+            "area": float(np.mean(list(evaluations.values()))),
+            "return": summary["evaluation_return"],
+        }
+    ]
+
+
+def measure_noise(settings: Settings) -> list[Row]:
+    """Share of cells visited, and time spent where there is noise, in units of a uniform walk's."""
+    summary = run_once(settings)
+    rows = load_checkpoint(settings.out)["learner"]["replay"]["rows"]
+    noise = rows[settings.learning_starts :, NOISE_CHANNELS]
+    noisy = float((noise != 0).any(-1).double().mean())
+    return [
+        {"coverage": summary["coverage"], "noisy_time": noisy / NoisyRoom.noisy_share},
+    ]
+
+
 def measure_sweep(settings: Settings) -> list[Row]:
     """Return of a dialled agent that acts as in training, and cells it visits, at each hunger."""
     run_once(settings)
@@ -133,7 +171,7 @@ def pendulum_cell(observation: np.ndarray) -> tuple[int, int]:
     """Cell of the pendulum's angle and speed that an observation lies in."""
     cosine, sine, speed = observation
     angle = math.atan2(sine, cosine) / (2 * math.pi) + 0.5
-    place = np.clip((angle, 0.5 * (1 + speed)), 0, 1 - 1e-9) * GRID
+    place = np.clip((angle, 0.5 * (1 + speed / SPEED_BOUND)), 0, 1 - 1e-9) * GRID
     return int(place[0]), int(place[1])
 
 
@@ -154,6 +192,44 @@ DIALS = {
         measure_sweep,
         ("return", "coverage"),
         x="hunger",
+    ),
+    "noise": Dial(
+        {"NoisyRoom": replace(SMALL, env_id="NoisyRoom", total_steps=8_000, **HALVED)},
+        {name: {"bonus": name} for name in (*NOISE_RIVALS, "none")},
+        measure_noise,
+        ("coverage", "noisy_time"),
+        x="bonus",
+    ),
+    "history": Dial(
+        {"PendulumHiddenVelocity": replace(PENDULUM, env_id="PendulumHiddenVelocity")},
+        {history: {"history": history} for history in (1, 3)},
+        measure_return,
+        ("return", "mean_training_return"),
+        x="history",
+    ),
+    "prior": Dial(
+        {
+            "PendulumSwingup": replace(PENDULUM, total_steps=16_000),
+            "MountainCarContinuous-v0": replace(
+                SMALL, env_id="MountainCarContinuous-v0", total_steps=16_000
+            ),
+            "ManyMotors": replace(PENDULUM, env_id="ManyMotors", total_steps=16_000),
+            "HalfCheetah-v5": replace(CHEETAH, total_steps=16_000),
+        },
+        {prior: {"prior": prior} for prior in ("uniform", "learned")},
+        measure_area,
+        ("area", "return"),
+        x="prior",
+    ),
+    "default": Dial(
+        {
+            "HalfCheetah-v5": replace(CHEETAH, **WIDE),
+            "Hopper-v5": replace(SMALL, env_id="Hopper-v5", **WIDE),
+        },
+        {"plain": {"bonus": "none"}, "default": {}, "bandit": {"hunger_control": "bandit"}},
+        measure_area,
+        ("area", "return"),
+        x="agent",
     ),
     "horizon": Dial(
         {"PendulumSwingup": replace(PENDULUM, total_steps=16_000), "PointMaze": MAZE},
@@ -180,9 +256,11 @@ DIALS = {
 class Args:
     """Which dial, and where."""
 
-    dial: Literal["rate", "hunger", "battery", "horizon"]
+    dial: Literal["rate", "hunger", "battery", "noise", "history", "prior", "default", "horizon"]
     """Information rate that the temperature holds; hunger of one agent that has learned them all;
-    the same turned by a battery; how far curiosity looks ahead."""
+    the same turned by a battery; bonuses beside a source of noise; windows of a hidden state;
+    uniform or learned prior; plain, default and bandit where reward is dense; how far curiosity
+    looks ahead."""
     seeds: int = 5
     """Runs at each value."""
     runs: Path = Path("runs/dials")
