@@ -115,7 +115,7 @@ def measure_area(settings: Settings) -> list[Row]:
 
 
 def measure_noise(settings: Settings) -> list[Row]:
-    """Share of cells visited, and time spent where there is noise, in units of a uniform walk's."""
+    """Share of cells visited, and time where there is noise, in units of a uniform walk's."""
     summary = run_once(settings)
     rows = load_checkpoint(settings.out)["learner"]["replay"]["rows"]
     noise = rows[settings.learning_starts :, NOISE_CHANNELS]
