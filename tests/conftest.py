@@ -1,6 +1,7 @@
 """One thread, a random stream of its own for every test, and runs of a second."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -19,12 +20,16 @@ def own_random_stream() -> Iterator[None]:
 
 
 @pytest.fixture
-def tiny(tmp_path: Path) -> Settings:
+def tiny(tiny_settings: Settings, tmp_path: Path) -> Settings:
+    return replace(tiny_settings, out=tmp_path / "run")
+
+
+@pytest.fixture(scope="session")
+def tiny_settings() -> Settings:
     return Settings(
         env_id="PendulumSwingup",
         env_kwargs={"action_cost": 0.1},
         total_steps=60,
-        out=tmp_path / "run",
         hidden_dim=16,
         batch_size=32,
         components=16,

@@ -6,8 +6,10 @@ import torch
 
 from deep_curiosity.training import Settings, train
 from deep_curiosity.training.checkpoint import load_checkpoint
+from deep_curiosity.training.environments import make_environment
 from deep_curiosity.training.hunger import Bandit, Battery, Drawn, Scheduled, make_keeper
 from deep_curiosity.training.learner import Learner
+from deep_curiosity.training.playback import load_policy
 
 NOTHING = np.zeros((1, 3))
 GOES_ON = np.array([False])
@@ -170,3 +172,13 @@ def test_a_control_that_cannot_be_is_named(tiny, change, message):
     with pytest.raises(ValueError, match=message):
         train(replace(tiny, **change), show_progress=False)
     assert not tiny.out.exists()
+
+
+def test_a_run_without_a_dial_is_played_at_no_other_hunger(tiny):
+    train(tiny, show_progress=False)
+    environment = make_environment(tiny.env_id, tiny.env_kwargs)
+    with pytest.raises(ValueError, match="`hunger` can only be chosen where the run has a dial"):
+        load_policy(tiny.out, tiny, environment, hunger=0.5)
+    action = load_policy(tiny.out, tiny, environment)(torch.zeros(2, 3))
+    assert action.shape == (2, 1)
+    environment.close()

@@ -44,6 +44,12 @@ def flat(state, prefix=""):
     }
 
 
+def learned_weight(settings):
+    """First layer of the policy that a run ends with."""
+    train(settings, show_progress=False)
+    return load_checkpoint(settings.out)["learner"]["agent"]["policy.network.layers.0.weight"]
+
+
 def assert_same_state(first, second):
     first, second = flat(first), flat(second)
     assert first.keys() == second.keys()
@@ -303,6 +309,12 @@ def test_ctrl_c_ends_after_the_step_with_a_checkpoint(tiny, monkeypatch, capsys)
     assert signal.getsignal(signal.SIGINT) is handler
 
 
+@pytest.fixture(scope="module")
+def unchanged(tiny_settings, tmp_path_factory):
+    """The weight that the settings of `tiny` lead to."""
+    return learned_weight(replace(tiny_settings, out=tmp_path_factory.mktemp("unchanged") / "run"))
+
+
 @pytest.mark.parametrize(
     "change",
     [
@@ -348,13 +360,8 @@ def test_ctrl_c_ends_after_the_step_with_a_checkpoint(tiny, monkeypatch, capsys)
     ],
     ids=str,
 )
-def test_every_setting_of_learning_changes_what_is_learned(tiny, tmp_path, change):
-    train(tiny, show_progress=False)
-    train(replace(tiny, **change, out=tmp_path / "changed"), show_progress=False)
-    states = [
-        load_checkpoint(folder)["learner"]["agent"] for folder in (tiny.out, tmp_path / "changed")
-    ]
-    weights = [state["policy.network.layers.0.weight"] for state in states]
+def test_every_setting_of_learning_changes_what_is_learned(tiny, unchanged, change):
+    weights = unchanged, learned_weight(replace(tiny, **change))
     assert weights[0].shape != weights[1].shape or not torch.equal(*weights)
 
 
