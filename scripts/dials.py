@@ -117,11 +117,17 @@ def measure_area(settings: Settings) -> list[Row]:
 def measure_noise(settings: Settings) -> list[Row]:
     """Share of cells visited, and time where there is noise, in units of a uniform walk's."""
     summary = run_once(settings)
-    rows = load_checkpoint(settings.out)["learner"]["replay"]["rows"]
-    noise = rows[settings.learning_starts :, NOISE_CHANNELS]
+    state = load_checkpoint(settings.out)
+    noise = state["learner"]["replay"]["rows"][settings.learning_starts :, NOISE_CHANNELS]
     noisy = float((noise != 0).any(-1).double().mean())
+    half_way = settings.total_steps / 2
+    early = sum(step <= half_way for step in state["history"]["cells"].values())
     return [
-        {"coverage": summary["coverage"], "noisy_time": noisy / NoisyRoom.noisy_share},
+        {
+            "noisy_time": noisy / NoisyRoom.noisy_share,
+            "half_way_coverage": early / NoisyRoom.num_cells,
+            "coverage": summary["coverage"],
+        },
     ]
 
 
@@ -197,12 +203,12 @@ DIALS = {
         {"NoisyRoom": replace(SMALL, env_id="NoisyRoom", total_steps=8_000, **HALVED)},
         {name: {"bonus": name} for name in (*NOISE_RIVALS, "none")},
         measure_noise,
-        ("coverage", "noisy_time"),
+        ("noisy_time", "half_way_coverage", "coverage"),
         x="bonus",
     ),
     "history": Dial(
         {"PendulumHiddenVelocity": replace(PENDULUM, env_id="PendulumHiddenVelocity")},
-        {history: {"history": history} for history in (1, 3)},
+        {history: {"history": history} for history in (1, 4)},
         measure_return,
         ("return", "mean_training_return"),
         x="history",
@@ -239,7 +245,7 @@ DIALS = {
         x="curiosity discount",
     ),
     "battery": Dial(
-        {"BatteryRover": replace(SMALL, env_id="BatteryRover", total_steps=20_000)},
+        {"BatteryRover": replace(SMALL, env_id="BatteryRover", total_steps=16_000, **HALVED)},
         {
             "purely curious": {"hunger_control": "dial", "hunger": 0.0},
             "battery": {"hunger_control": "battery"},
