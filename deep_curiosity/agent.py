@@ -17,11 +17,18 @@ from deep_curiosity.losses import (
     actor_loss,
     critic_loss,
     critic_target,
+    multi_step_target,
     prior_loss,
     temperature_loss,
 )
 from deep_curiosity.optimization import Adam
-from deep_curiosity.transitions import Transition, check_batch, check_transition
+from deep_curiosity.transitions import (
+    Sequences,
+    Transition,
+    check_batch,
+    check_counts,
+    check_transition,
+)
 
 SPREAD_DECAY = 0.99  # of the running spreads of the values, for each update
 PARITY_FLOOR = 1e-3  # of the spreads' ratio: a dial lifts curiosity by no more than a thousand
@@ -61,6 +68,10 @@ class CuriousActorCritic(nn.Module):
         curiosity: Whether `update` is given a bonus.
         curiosity_discount: Of the bonus, per step. 0 is the paper's equation as written: the actor
             climbs the bonus itself, differentiated through the model, and no critic learns it.
+        reward_steps: Steps of reward that are summed before the extrinsic value is trusted;
+            `update` must be given sequences where it or the next is above 1. With `soft_backup`
+            only the information cost after the last of them is charged.
+        curiosity_steps: Steps of bonus that are summed before the curiosity value is trusted.
         curiosity_episodic: Whether the curiosity value ends where the world does. Otherwise it
             looks past the end, as in Burda et al. (2018), https://arxiv.org/abs/1810.12894.
         hunger: Weight of the extrinsic value, alpha.
@@ -106,6 +117,8 @@ class CuriousActorCritic(nn.Module):
         discount: float = 0.99,
         curiosity: bool = True,
         curiosity_discount: float = 0.97,
+        reward_steps: int = 1,
+        curiosity_steps: int = 1,
         curiosity_episodic: bool = True,
         hunger: float = 1.0,
         dial: bool = False,
@@ -122,6 +135,7 @@ class CuriousActorCritic(nn.Module):
         _check_discount("discount", discount)
         _check_discount("curiosity_discount", curiosity_discount)
         _check_positive("learning_rate", learning_rate)
+        check_counts(reward_steps=reward_steps, curiosity_steps=curiosity_steps)
         if not 0 < polyak <= 1:
             raise ValueError(f"`polyak` must lie in (0, 1], got {polyak}.")
         if prior not in RATE_PER_ACTION_DIM:
@@ -129,6 +143,8 @@ class CuriousActorCritic(nn.Module):
         self.observation_dim = observation_dim
         self.action_dim = action_dim
         self.curiosity = curiosity
+        self.num_steps = (reward_steps, curiosity_steps)
+        """Steps that are summed in the target of each value."""
         self.curiosity_episodic = curiosity_episodic
         self.dial = dial
         self.yielding = yielding
@@ -244,11 +260,14 @@ class CuriousActorCritic(nn.Module):
             return policy.mode
         return torch.tanh(policy.draw())
 
-    def update(self, transition: Transition, bonus: Bonus | None = None) -> dict[str, Tensor]:
+    def update(
+        self, batch: Transition | Sequences, bonus: Bonus | None = None
+    ) -> dict[str, Tensor]:
         """Take one gradient step on every part.
 
         Args:
-            transition: A batch from replay, its reward as the environment gave it.
+            batch: From replay, the reward as the environment gave it; sequences where more than
+                one step is to be summed.
             bonus: Asked afresh for the batch, so that nothing in replay is ever stale.
 
         Returns:
@@ -257,17 +276,18 @@ class CuriousActorCritic(nn.Module):
         Raises:
             TypeError: If a field of the transition has the wrong kind.
             ValueError: If a bonus is given to an agent without curiosity, or not to a curious one,
-                or a field of the transition has the wrong shape or holds NaN or infinity.
+                or a field of the transition has the wrong shape or holds NaN or infinity, or
+                sequences are shorter than the steps to be summed.
         """
         if self.curiosity != (bonus is not None):
             raise ValueError(
                 "`bonus` must be given if and only if the agent has `curiosity`, "
                 f"got {bonus!r} with curiosity={self.curiosity}."
             )
-        dtype = self.log_temperature.dtype
-        check_transition(transition, self.observation_dim, self.action_dim, dtype)
+        transition = batch.first if isinstance(batch, Sequences) else batch
+        self._check_update(batch)
         hunger = self._drawn_hunger(transition.reward) if self.dial else self._hunger
-        metrics = self._update_critics(transition, bonus, hunger)
+        metrics = self._update_critics(batch, bonus, hunger)
         policy_draws, actor_metrics = self._update_actor(transition, bonus, hunger)
         metrics |= actor_metrics | self._update_prior(policy_draws)
         metrics |= self._update_temperature(policy_draws)
@@ -305,12 +325,27 @@ class CuriousActorCritic(nn.Module):
         """Uniform draws, but for the ends of the dial, which are drawn as often as all between."""
         return (2 * torch.rand_like(like) - 0.5).clamp(0.0, 1.0)
 
+    def _check_update(self, batch: Transition | Sequences) -> None:
+        steps, length = (
+            (batch.steps, len(batch.alive)) if isinstance(batch, Sequences) else (batch, 1)
+        )
+        if length < max(self.num_steps):
+            raise ValueError(
+                f"`batch` must hold sequences of at least {max(self.num_steps)} steps, "
+                f"got {length}."
+            )
+        dtype = self.log_temperature.dtype
+        check_transition(steps, self.observation_dim, self.action_dim, dtype)
+
     def _update_critics(
-        self, transition: Transition, bonus: Bonus | None, hunger: Hunger
+        self, batch: Transition | Sequences, bonus: Bonus | None, hunger: Hunger
     ) -> dict[str, Tensor]:
+        if isinstance(batch, Sequences):
+            transition, target = batch.first, self._targets_ahead(batch, bonus, hunger)
+        else:
+            transition, target = batch, self._targets(batch, bonus, hunger)
         seen = self.seen(transition.observation, hunger)
         value = self.critics(seen, transition.action)  # pairs 2 batch
-        target = self._targets(transition, bonus, hunger)  # pairs batch
         loss = critic_loss(value, target.unsqueeze(1))
         self._step("critics", loss)
         value = value.detach()
@@ -325,21 +360,63 @@ class CuriousActorCritic(nn.Module):
     def _targets(
         self, transition: Transition, bonus: Bonus | None, hunger: Hunger
     ) -> Float[Tensor, "pairs batch"]:
-        """Targets of the extrinsic value and, where it is learned, of the curiosity value."""
-        next_seen = self.seen(transition.next_observation, hunger)
-        next_policy = self.policy(next_seen)
-        pre_action = next_policy.draw()
-        next_value = self.target_critics.lower(next_seen, torch.tanh(pre_action))
-        if self.soft_backup:
-            information_cost = next_policy.log_prob(pre_action) - self.prior.log_prob(pre_action)
-            next_value[0] -= self.log_temperature.exp() * information_cost
-        rewards, ends = [transition.reward], transition.terminated
+        """One-step targets of the extrinsic value and, where it is learned, of the curious one."""
+        next_value = self._next_values(transition.next_observation, hunger)
+        rewards, ends = self._rewards(transition, bonus), transition.terminated
+        if not self.curiosity_episodic and self._has_curiosity_critic:
+            ends = torch.stack([ends, torch.zeros_like(ends)])
+        return critic_target(rewards, ends, next_value, self.discounts)
+
+    @torch.no_grad()
+    def _targets_ahead(
+        self, sequences: Sequences, bonus: Bonus | None, hunger: Hunger
+    ) -> Float[Tensor, "pairs batch"]:
+        """The same over several steps, for each value as many as are its own."""
+        rewards = self._rewards(sequences.steps, bonus).unflatten(-1, sequences.alive.shape)
+        lasts = {number: sequences.last(number) for number in set(self.num_steps)}
+        next_values = {
+            number: self._next_values(last.next_observation, hunger)
+            for number, last in lasts.items()
+        }
+        targets = []
+        for pair, reward in enumerate(rewards):
+            number = self.num_steps[pair]
+            ends = lasts[number].terminated
+            if pair == 1 and not self.curiosity_episodic:
+                ends = torch.zeros_like(ends)
+            targets.append(
+                multi_step_target(
+                    reward[:number],
+                    sequences.alive[:number],
+                    ends,
+                    next_values[number][pair],
+                    self.discounts[pair],
+                )
+            )
+        return torch.stack(targets)
+
+    def _rewards(
+        self, transition: Transition, bonus: Bonus | None
+    ) -> Float[Tensor, "pairs batch"]:
+        """Reward and, where its value is learned, bonus."""
+        rewards = [transition.reward]
         if bonus is not None and self._has_curiosity_critic:
             observation, action, _, next_observation, *_ = transition
             rewards.append(bonus(observation, action, next_observation))
-            if not self.curiosity_episodic:
-                ends = torch.stack([ends, torch.zeros_like(ends)])
-        return critic_target(torch.stack(rewards), ends, next_value, self.discounts)
+        return torch.stack(rewards)
+
+    def _next_values(
+        self, observation: Float[Tensor, "batch observation_dim"], hunger: Hunger
+    ) -> Float[Tensor, "pairs batch"]:
+        """Values of the states that are reached, under the policy of now."""
+        seen = self.seen(observation, hunger)
+        policy = self.policy(seen)
+        pre_action = policy.draw()
+        value = self.target_critics.lower(seen, torch.tanh(pre_action))
+        if self.soft_backup:
+            information_cost = policy.log_prob(pre_action) - self.prior.log_prob(pre_action)
+            value[0] -= self.log_temperature.exp() * information_cost
+        return value
 
     def _update_actor(
         self, transition: Transition, bonus: Bonus | None, hunger: Hunger

@@ -18,6 +18,30 @@ def critic_target(
     return torch.where(terminated, reward, reward + discount * next_value)
 
 
+def multi_step_target(
+    reward: Float[Tensor, "num_steps batch"],
+    alive: Bool[Tensor, "num_steps batch"],
+    terminated: Bool[Tensor, " batch"],
+    next_value: Float[Tensor, " batch"],
+    discount: Float[Tensor, " 1"],
+) -> Float[Tensor, " batch"]:
+    """Target `r_0 + ... + discount^(n-1) r_(n-1) + discount^n V(x_n)` of sequences.
+
+    Args:
+        reward: Of each step.
+        alive: Which steps belong to their sequence: as many are counted.
+        terminated: Whether the world ended with the last of them.
+        next_value: Of the state after it.
+        discount: Per step.
+
+    Reference: Sutton & Barto, "Reinforcement Learning" (2018), (7.1); off-policy without
+    correction, as in Hessel et al., "Rainbow" (2018).
+    """
+    number = torch.arange(len(reward), device=reward.device).unsqueeze(-1)
+    total = torch.where(alive, discount**number * reward, 0.0).sum(0)
+    return total + torch.where(terminated, 0.0, discount ** alive.sum(0) * next_value)
+
+
 def critic_loss(
     value: Float[Tensor, "*critics batch"], target: Float[Tensor, "*#critics batch"]
 ) -> Float[Tensor, ""]:

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from deep_curiosity.transitions import Transition, check_counts
+from deep_curiosity.transitions import Sequences, Transition, check_counts
 
 if TYPE_CHECKING:
     from torchrl.data import ReplayBuffer as TorchRLReplayBuffer
@@ -118,6 +118,29 @@ class ReplayBuffer:
         """
         self._check_draw(batch_size=batch_size)
         return self._at(torch.randint(len(self), (batch_size,), generator=self._generator))
+
+    def sample_sequences(self, batch_size: int, num_steps: int, *, stride: int = 1) -> Sequences:
+        """Draw transitions as `sample` does, each with those that followed it.
+
+        Args:
+            batch_size: Number of sequences.
+            num_steps: Longest that a sequence may be.
+            stride: Rows from a step to the next of the same world: the number of worlds that are
+                stored side by side.
+
+        Raises:
+            ValueError: If the buffer is empty or a count is below 1.
+        """
+        self._check_draw(batch_size=batch_size, num_steps=num_steps, stride=stride)
+        start = torch.randint(len(self), (batch_size,), generator=self._generator)
+        age = start + stride * torch.arange(num_steps).unsqueeze(-1)  # from the oldest held
+        known = age < len(self)
+        slot = self._num_added - len(self) + age.clamp(max=len(self) - 1)
+        steps = self._at((slot % self.capacity).flatten())
+        ended = (steps.terminated | steps.truncated).unflatten(0, (num_steps, batch_size))
+        goes_on = ~ended[:-1] & known[1:].to(ended.device)
+        alive = torch.cat([torch.ones_like(ended[:1]), goes_on]).cumprod(0).bool()
+        return Sequences(steps, alive)
 
     def sample_newest(self, batch_size: int, *, window: int) -> Transition:
         """Draw uniformly from the newest `window` transitions, or all while there are fewer.

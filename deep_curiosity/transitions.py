@@ -24,6 +24,31 @@ class Transition(NamedTuple):
     truncated: Bool[Tensor, " batch"]
 
 
+class Sequences(NamedTuple):
+    """Transitions that follow one another, as many in each of several sequences.
+
+    A sequence lives on until its episode ends or nothing is known of what follows; what stands
+    behind its end is of no meaning.
+    """
+
+    steps: Transition
+    """The first of every sequence, then the second of every sequence, and so on."""
+    alive: Bool[Tensor, "num_steps batch"]
+    """Which steps belong to their sequence; the first always does."""
+
+    @property
+    def first(self) -> Transition:
+        """The first transition of every sequence."""
+        return Transition(*(field[: self.alive.shape[1]] for field in self.steps))
+
+    def last(self, num_steps: int) -> Transition:
+        """The last transition of every sequence within so many steps."""
+        batch = self.alive.shape[1]
+        number = self.alive[:num_steps].sum(0) - 1
+        rows = number * batch + torch.arange(batch, device=number.device)
+        return Transition(*(field[rows] for field in self.steps))
+
+
 def check_batch(name: str, value: Tensor, dim: int, dtype: torch.dtype = torch.float32) -> None:
     """Reject what is not a batch of vectors of length `dim` in the precision of the networks.
 

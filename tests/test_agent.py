@@ -10,7 +10,7 @@ from torch.distributions.transforms import TanhTransform
 from deep_curiosity.agent import CuriousActorCritic
 from deep_curiosity.bonus import Bonus
 from deep_curiosity.rivals import ConstantBonus
-from deep_curiosity.transitions import Transition
+from deep_curiosity.transitions import Sequences, Transition
 
 TEMPERATURE, DISCOUNT = 0.3, 0.9
 PAIRS = slice(0, 2), slice(2, 4)  # members of the extrinsic and of the curious pair of critics
@@ -771,3 +771,50 @@ def test_the_rate_is_held_from_any_start_within_a_factor_of_a_hundred(factor):
     information = agent.metrics(2 * torch.rand(512, 1) - 1)
     assert information["action_information_lower"].item() == pytest.approx(target, rel=0.15)
     assert right / 2 < sum(prices[-500:]) / 500 < 2 * right
+
+
+def random_sequences(num_steps, batch=32):
+    steps = random_transition(num_steps * batch)
+    alive = torch.rand(num_steps, batch) < 0.8
+    alive[0] = True
+    return Sequences(steps, alive.cumprod(0).bool())
+
+
+def test_sequences_of_one_step_teach_what_transitions_teach():
+    agent, other = small_agent(), small_agent()
+    other.load_state_dict(agent.state_dict())
+    sequences = random_sequences(1)
+    for each, batch in ((agent, sequences), (other, sequences.first)):
+        torch.manual_seed(1)
+        each.update(batch, PushingBonus(1.0))
+    for one, same in zip(agent.parameters(), other.parameters(), strict=True):
+        torch.testing.assert_close(one, same)
+
+
+def test_each_value_sums_as_many_steps_as_are_its_own():
+    agent = small_agent(
+        reward_steps=3, curiosity_steps=2, discount=0.5, curiosity_discount=0.1, prior="learned"
+    )
+    let_answer(agent.target_critics, 8.0, 1000.0)
+    sequences = random_sequences(3)
+    value, curiosity_value = agent._targets_ahead(sequences, PushingBonus(1.0), torch.ones(()))
+    reward = sequences.steps.reward.unflatten(0, (3, 32))
+    bonus = sequences.steps.action[:, 0].unflatten(0, (3, 32))
+    for row in range(32):
+        for found, earned, discount, longest, ahead in (
+            (value, reward, 0.5, 3, 8.0),
+            (curiosity_value, bonus, 0.1, 2, 1000.0),
+        ):
+            lives = int(sequences.alive[:longest, row].sum())
+            expected = sum(discount**k * earned[k, row].item() for k in range(lives))
+            ended = sequences.steps.terminated[(lives - 1) * 32 + row]
+            expected += 0.0 if ended else discount**lives * ahead
+            assert found[row].item() == pytest.approx(expected, rel=1e-4)
+
+
+def test_sequences_that_are_too_short_are_refused():
+    agent = small_agent(reward_steps=3)
+    with pytest.raises(ValueError, match="`batch` must hold sequences of at least 3 steps, got 1"):
+        agent.update(random_transition(), PushingBonus(1.0))
+    with pytest.raises(ValueError, match="got 2"):
+        agent.update(random_sequences(2), PushingBonus(1.0))

@@ -8,6 +8,7 @@ from deep_curiosity.losses import (
     actor_loss,
     critic_loss,
     critic_target,
+    multi_step_target,
     prior_loss,
     temperature_loss,
 )
@@ -101,3 +102,22 @@ def test_descent_raises_the_price_while_the_rate_is_above_target(target_rate, si
     temperature_loss(log_temperature, cost, target_rate).backward()
     assert log_temperature.grad.item() == pytest.approx(sign)
     assert cost.grad is None
+
+
+def test_several_steps_are_summed_as_far_as_a_sequence_lives():
+    reward = torch.tensor([[1.0, 1.0, 1.0], [10.0, 10.0, 10.0], [100.0, 100.0, 100.0]])
+    alive = torch.tensor([[True, True, True], [True, True, False], [True, False, False]])
+    terminated = torch.tensor([False, False, True])
+    next_value = torch.tensor([8.0, 8.0, 8.0])
+    target = multi_step_target(reward, alive, terminated, next_value, torch.tensor([0.5]))
+    assert target.tolist() == [1 + 5 + 25 + 1, 1 + 5 + 2, 1]
+
+
+def test_a_single_step_is_the_one_step_target():
+    reward, next_value = torch.randn(1, 5), torch.randn(5)
+    terminated = torch.tensor([True, False, True, False, False])
+    several = multi_step_target(
+        reward, torch.ones(1, 5, dtype=torch.bool), terminated, next_value, torch.tensor([0.9])
+    )
+    one = critic_target(reward[0], terminated, next_value, 0.9)
+    torch.testing.assert_close(several, one)

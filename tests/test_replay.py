@@ -339,3 +339,39 @@ def test_a_horizon_below_one_and_an_empty_replay_are_rejected(draw, name):
         getattr(filled(3), f"sample_{draw}")(2, **{name: 0})
     with pytest.raises(ValueError, match="must hold a transition before it is sampled"):
         getattr(filled(0), f"sample_{draw}")(2, **{name: 5})
+
+
+def test_sequences_hold_what_followed_until_the_episode_ends():
+    replay = ReplayBuffer(8, 3, 2)
+    for number in range(20):  # of which the last eight are held
+        add(replay, number, terminated=number == 14, truncated=number == 17)
+    sequences = replay.sample_sequences(200, 3)
+    first = torch.tensor(numbers(sequences.first)).long()
+    assert set(first.tolist()) == set(range(12, 20))
+    number = sequences.steps.observation[:, 0].unflatten(0, (3, 200)).long()
+    for row in range(200):
+        until = next(end for end in (14, 17, 19) if end >= first[row])
+        lives = [int(first[row]) + step <= until for step in range(3)]
+        assert sequences.alive[:, row].tolist() == lives
+        expected = [int(first[row]) + step for step in range(3) if lives[step]]
+        assert number[:, row][lives].tolist() == expected
+        assert sequences.last(3).observation[row, 0] == expected[-1]
+        assert sequences.last(2).observation[row, 0] == expected[:2][-1]
+
+
+def test_sequences_stay_in_their_world_where_several_are_stored_side_by_side():
+    replay = ReplayBuffer(90, 3, 2)
+    for number in range(90):
+        add(replay, number)
+    sequences = replay.sample_sequences(300, 2, stride=3)
+    one, next_one = sequences.steps.observation[:, 0].unflatten(0, (2, 300))
+    alive = sequences.alive[1]
+    assert (next_one - one)[alive].eq(3).all()
+    assert alive.tolist() == (one < 87).tolist()
+
+
+def test_sequences_of_one_step_are_what_is_sampled():
+    one, other = filled(8, seed=1), filled(8, seed=1)
+    assert equal(one.sample(16), other.sample_sequences(16, 1).first)
+    with pytest.raises(ValueError, match="`num_steps` must be at least 1, got 0"):
+        one.sample_sequences(4, 0)

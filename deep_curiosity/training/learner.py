@@ -21,7 +21,7 @@ from deep_curiosity.training.exploration import NOISES, Noise
 from deep_curiosity.training.hunger import make_keeper
 from deep_curiosity.training.machine import should_compile
 from deep_curiosity.training.settings import Settings
-from deep_curiosity.transitions import Transition
+from deep_curiosity.transitions import Sequences, Transition
 
 NUM_DIAGNOSED_STATES = 512  # of replay, over which the information of the actions is estimated
 
@@ -144,12 +144,20 @@ class Learner:
 
     def update(self) -> dict[str, Tensor]:
         """One gradient step on the bonus's models and on every part of the agent."""
-        transition = self.replay.sample(self.settings.batch_size)
+        batch = self._sample()
+        transition = batch.first if isinstance(batch, Sequences) else batch
         if isinstance(self.bonus, CuriosityBonus):
             self.bonus.observe(transition, self.agent.act, self._visited())
         elif self.bonus is not None:
             self.bonus.observe(transition, self.agent.act)
-        return self._learn(transition)
+        return self._learn(batch)
+
+    def _sample(self) -> Transition | Sequences:
+        """Transitions, or sequences where more than one step is summed."""
+        num_steps, size = max(self.agent.num_steps), self.settings.batch_size
+        if num_steps == 1:
+            return self.replay.sample(size)
+        return self.replay.sample_sequences(size, num_steps, stride=self.settings.num_envs)
 
     def _visited(self) -> Transition | None:
         """What the marginal is formed from, where that is not the batch."""
@@ -160,12 +168,13 @@ class Learner:
             return self.replay.sample_newest(size, window=horizon)
         return self.replay.sample_fading(size, half_life=horizon)
 
-    def _learn_eagerly(self, transition: Transition) -> dict[str, Tensor]:
+    def _learn_eagerly(self, batch: Transition | Sequences) -> dict[str, Tensor]:
         """The part of an update that can be one graph; returns what to log."""
         metrics = {}
         if self.bonus_learner is not None:
+            transition = batch.first if isinstance(batch, Sequences) else batch
             metrics["curiosity/model_loss"] = self.bonus_learner.fit(transition)
-        agent_metrics = self.agent.update(transition, self.bonus)
+        agent_metrics = self.agent.update(batch, self.bonus)
         return metrics | {f"agent/{name}": value for name, value in agent_metrics.items()}
 
     def diagnostics(self) -> dict[str, Tensor]:
@@ -209,6 +218,8 @@ def make_agent(settings: Settings, observation_dim: int, action_dim: int) -> Cur
         discount=settings.discount,
         curiosity=settings.bonus != "none",
         curiosity_discount=settings.curiosity_discount,
+        reward_steps=settings.reward_steps,
+        curiosity_steps=settings.curiosity_steps,
         curiosity_episodic=settings.curiosity_episodic,
         hunger=settings.hunger,
         dial=settings.has_dial,

@@ -81,6 +81,8 @@ class Settings:
     """Entry of the observation that holds the charge of the battery, from 0 to 1."""
     curiosity_ends: int | None = None
     """Step from which only reward counts; by default none."""
+    curiosity_steps: int = 1
+    """Steps of bonus that are summed before the curiosity value is trusted."""
     curiosity_episodic: bool = True
     """End the curiosity value where the world ends; otherwise it looks past the end."""
     yielding: bool = True
@@ -99,6 +101,8 @@ class Settings:
     dimension."""
     discount: float = 0.99
     """Discount of the extrinsic reward per step."""
+    reward_steps: int = 1
+    """Steps of reward that are summed before the extrinsic value is trusted."""
     learning_rate: float = 1e-3
     """Of Adam, for policy, critics, prior and temperature."""
     polyak: float = 0.02

@@ -343,6 +343,8 @@ def unchanged(tiny_settings, tmp_path_factory):
         {"hunger_control": "linear"},
         {"hunger_control": "linear", "final_hunger": 0.1},
         {"curiosity_ends": 25},
+        {"curiosity_steps": 3},
+        {"reward_steps": 3},
         {"tune_bonus_weight": "past"},
         {"tune_bonus_weight": 50.0},
         {"hunger_control": "dial"},
