@@ -44,6 +44,7 @@ CHEETAH = replace(SMALL, env_id="HalfCheetah-v5")
 HALVED = {"update_to_data": 0.5}
 WIDE = {"hidden_dim": 128, "total_steps": 30_000, "evaluation_interval": 1_500}
 NOISE_CHANNELS = slice(4, 6)  # of NoisyRoom's observation
+EARLY = 4_000  # steps after which cells are counted for the first time
 NOISE_RIVALS = ("curiosity", "rnd", "icm", "nearest-neighbours")
 
 
@@ -120,12 +121,11 @@ def measure_noise(settings: Settings) -> list[Row]:
     state = load_checkpoint(settings.out)
     noise = state["learner"]["replay"]["rows"][settings.learning_starts :, NOISE_CHANNELS]
     noisy = float((noise != 0).any(-1).double().mean())
-    half_way = settings.total_steps / 2
-    early = sum(step <= half_way for step in state["history"]["cells"].values())
+    early = sum(step <= EARLY for step in state["history"]["cells"].values())
     return [
         {
             "noisy_time": noisy / NoisyRoom.noisy_share,
-            "half_way_coverage": early / NoisyRoom.num_cells,
+            "early_coverage": early / NoisyRoom.num_cells,
             "coverage": summary["coverage"],
         },
     ]
@@ -200,10 +200,10 @@ DIALS = {
         x="hunger",
     ),
     "noise": Dial(
-        {"NoisyRoom": replace(SMALL, env_id="NoisyRoom", total_steps=8_000, **HALVED)},
+        {"NoisyRoom": replace(SMALL, env_id="NoisyRoom", total_steps=16_000, **HALVED)},
         {name: {"bonus": name} for name in (*NOISE_RIVALS, "none")},
         measure_noise,
-        ("noisy_time", "half_way_coverage", "coverage"),
+        ("noisy_time", "early_coverage", "coverage"),
         x="bonus",
     ),
     "history": Dial(
