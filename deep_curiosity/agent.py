@@ -225,17 +225,25 @@ class CuriousActorCritic(nn.Module):
     def seen(
         self,
         observation: Float[Tensor, "batch observation_dim"],
-        hunger: Hunger | None = None,
+        hunger: Tensor | None = None,
     ) -> Float[Tensor, "batch seen_dim"]:
         """What policy and critics are given: the observation, and behind it a dial's hunger.
 
         Args:
             observation: As the environment gave it.
             hunger: One for all or one for each; the agent's own by default.
+
+        Raises:
+            ValueError: If there is neither one hunger nor one for each.
         """
         if not self.dial:
             return observation
         hunger = self._hunger if hunger is None else hunger
+        if hunger.shape not in ((), observation.shape[:1]):
+            raise ValueError(
+                f"`hunger` must be one number or {len(observation)}, got shape "
+                f"{tuple(hunger.shape)}."
+            )
         return torch.cat([observation, hunger.expand(len(observation)).unsqueeze(-1)], dim=-1)
 
     @torch.no_grad()
@@ -244,7 +252,7 @@ class CuriousActorCritic(nn.Module):
         observation: Float[Tensor, "batch observation_dim"],
         *,
         deterministic: bool = False,
-        hunger: Hunger | None = None,
+        hunger: Tensor | None = None,
     ) -> Float[Tensor, "batch action_dim"]:
         """Draw actions in [-1, 1], or take the centre of the policy.
 
@@ -322,7 +330,7 @@ class CuriousActorCritic(nn.Module):
         return metrics
 
     def _drawn_hunger(self, like: Float[Tensor, " batch"]) -> Float[Tensor, " batch"]:
-        """Uniform draws, but for the ends of the dial, which are drawn as often as all between."""
+        """A quarter at each end of the dial, the others uniform between them."""
         return (2 * torch.rand_like(like) - 0.5).clamp(0.0, 1.0)
 
     def _check_update(self, batch: Transition | Sequences) -> None:

@@ -664,8 +664,12 @@ def test_on_a_dial_policy_and_critics_see_the_hunger_and_nothing_else_changes():
     assert seen[:, 3].tolist() == [0.0, 0.25, 0.5, 1.0]
     agent.hunger = 0.75
     assert agent.seen(observation)[:, 3].tolist() == [0.75] * 4
-    plain = small_agent()
-    assert plain.seen(observation) is observation
+    assert small_agent().seen(observation) is observation
+
+
+def test_hunger_must_be_one_number_or_one_for_each():
+    with pytest.raises(ValueError, match=r"`hunger` must be one number or 4, got shape \(1,\)"):
+        dialled_agent().seen(torch.randn(4, 3), torch.tensor([0.5]))
 
 
 def test_relabelled_hungers_cover_the_dial_with_both_its_ends():

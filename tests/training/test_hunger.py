@@ -182,3 +182,17 @@ def test_a_run_without_a_dial_is_played_at_no_other_hunger(tiny):
     action = load_policy(tiny.out, tiny, environment)(torch.zeros(2, 3))
     assert action.shape == (2, 1)
     environment.close()
+
+
+def test_curiosity_past_the_end_of_the_world_is_asked_for_by_a_setting(tiny):
+    rover = replace(
+        tiny, env_id="BatteryRover", env_kwargs={}, total_steps=300, learning_starts=250
+    )
+    weights = []
+    for episodic in (True, False):
+        out = tiny.out.with_name(f"{episodic}")
+        train(replace(rover, curiosity_episodic=episodic, out=out), show_progress=False)
+        state = load_checkpoint(out)["learner"]
+        assert state["replay"]["rows"][:, -2].any()  # a battery was empty
+        weights.append(state["agent"]["critics.network.layers.0.weight"])
+    assert not torch.equal(*weights)
