@@ -245,7 +245,7 @@ DIALS = {
         x="curiosity discount",
     ),
     "battery": Dial(
-        {"BatteryRover": replace(SMALL, env_id="BatteryRover", total_steps=16_000, **HALVED)},
+        {"BatteryRover": replace(SMALL, env_id="BatteryRover", total_steps=24_000, **HALVED)},
         {
             "purely curious": {"hunger_control": "dial", "hunger": 0.0},
             "battery": {"hunger_control": "battery"},
@@ -368,7 +368,8 @@ def draw(path: Path, dial: Dial, rows: Sequence[Row]) -> None:
 def _draw_panel(axes: Axes, dial: Dial, rows: Sequence[Row], task: str, name: str) -> None:
     own = [row for row in rows if row["task"] == task]
     places = _places(dial, rows)
-    axes.plot(places, _medians(dial, rows, task, name), "o-")
+    named = isinstance(places[0], str)
+    axes.plot(places, _medians(dial, rows, task, name), "o" if named else "o-")
     axes.plot([row[dial.x] for row in own], [row[name] for row in own], ".", color="grey")
     if name in ("rate", "lower", "upper"):
         axes.plot(places, places, ":", color="grey", label="target")
