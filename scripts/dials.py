@@ -31,7 +31,7 @@ from deep_curiosity_envs.pendulum import SPEED_BOUND
 from deep_curiosity_envs.point_room import CELLS_PER_SIDE
 
 Row = dict[str, Any]
-HUNGERS = np.linspace(0, 1, 11).tolist()
+HUNGERS = [tenth / 10 for tenth in range(11)]
 SWEPT_EPISODES = 10
 LAST_EPISODES = 20
 ROVER_STEPS = 400  # of an episode that does not starve
