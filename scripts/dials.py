@@ -207,7 +207,11 @@ DIALS = {
         x="bonus",
     ),
     "history": Dial(
-        {"PendulumHiddenVelocity": replace(PENDULUM, env_id="PendulumHiddenVelocity")},
+        {
+            "PendulumHiddenVelocity": replace(
+                PENDULUM, env_id="PendulumHiddenVelocity", total_steps=30_000
+            )
+        },
         {history: {"history": history} for history in (1, 4)},
         measure_return,
         ("return", "mean_training_return"),
@@ -267,6 +271,8 @@ class Args:
     the same turned by a battery; bonuses beside a source of noise; windows of a hidden state;
     uniform or learned prior; plain, default and bandit where reward is dense; how far curiosity
     looks ahead."""
+    tasks: tuple[str, ...] = ()
+    """Of those the dial is turned on; all by default."""
     seeds: int = 5
     """Runs at each value."""
     runs: Path = Path("runs/dials")
@@ -280,7 +286,7 @@ class Args:
 def main() -> None:
     """Turn a dial and print what it does."""
     args = tyro.cli(Args, description=__doc__)
-    dial = DIALS[args.dial]
+    dial = chosen(DIALS[args.dial], args.tasks)
     cells = [
         (task, place, seed)
         for seed in range(args.seeds)
@@ -309,6 +315,18 @@ def main() -> None:
     (args.out / f"{args.dial}.md").write_text(summary)
     draw(args.out / f"{args.dial}.png", dial, rows)
     print(summary)
+
+
+def chosen(dial: Dial, tasks: Sequence[str]) -> Dial:
+    """The dial on some of its tasks.
+
+    Raises:
+        ValueError: If it is not turned on one of them.
+    """
+    for task in tasks:
+        if task not in dial.settings:
+            raise ValueError(f"`tasks` must be among {', '.join(dial.settings)}, got {task!r}.")
+    return replace(dial, settings={task: dial.settings[task] for task in tasks or dial.settings})
 
 
 def summary_of(dial: Dial, rows: Sequence[Row]) -> str:

@@ -272,16 +272,18 @@ def make_run_bonus(settings: Settings, observation_dim: int, action_dim: int) ->
 
 
 def features_of(settings: Settings, observation_dim: int, action_dim: int) -> Sequence[int] | None:
-    """Entries that curiosity is about: those asked for, or the newest observation of a window.
+    """Entries that curiosity is about: those asked for, or a window's two newest observations.
 
-    The rest of the next window is known from the present one.
+    Two, since a speed is in their difference; what is older, and the actions, tell little of where
+    an action leads.
     """
     if settings.features:
         return settings.features
     if settings.history == 1:
         return None
-    newest = (observation_dim - (settings.history - 1) * action_dim) // settings.history
-    return range(-newest, 0)
+    size = (observation_dim - (settings.history - 1) * action_dim) // settings.history
+    before = size + action_dim
+    return [*range(-before - size, -before), *range(-size, 0)]
 
 
 def _make_rival(settings: Settings, observation_dim: int, action_dim: int) -> Bonus:

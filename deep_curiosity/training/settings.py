@@ -122,7 +122,7 @@ class Settings:
     """Of Adam, for the models."""
     features: tuple[int, ...] = ()
     """Entries of the observation that curiosity is about, from the end where negative; all by
-    default, or with a history the newest observation."""
+    default, or with a history the two newest observations."""
     noise_floor: float = 0.05
     """Resolution at which the agent sees, in standard deviations of the observation."""
     whitening: Literal["moments", "robust"] = "moments"

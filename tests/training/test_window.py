@@ -143,9 +143,9 @@ def test_the_check_looks_through_the_same_window(tiny):
 
 @pytest.mark.parametrize(
     ("history", "asked", "entries"),
-    [(1, (), None), (3, (), [8, 9, 10]), (3, (0, -1), [0, 10])],
+    [(1, (), None), (3, (), [4, 5, 6, 8, 9, 10]), (3, (0, -1), [0, 10])],
 )
-def test_curiosity_is_about_the_newest_observation_of_a_window(tiny, history, asked, entries):
+def test_curiosity_is_about_the_two_newest_observations_of_a_window(tiny, history, asked, entries):
     """Of three entries, with one action between two observations."""
     settings = replace(tiny, history=history, features=asked)
     bonus = make_run_bonus(settings, 3 * history + history - 1, 1)
