@@ -16,6 +16,7 @@ from deep_curiosity.schedules import Schedule
 from deep_curiosity.training.settings import Settings
 
 DRAWN_HUNGERS = (0.0, 0.5, 1.0, 1.0)  # one episode of four is purely curious, two are greedy
+LACK_OF_HUNGRY = 0.5  # of a charge, at which only reward counts
 BANDIT_ARMS = (0.0, 0.5, 1.0)
 BANDIT_SEGMENT = 250  # environment steps for which an arm is held
 BANDIT_MEMORY = 40  # segments that an arm is judged by
@@ -67,6 +68,8 @@ class Scheduled(Keeper):
 class Battery(Keeper):
     """The emptier the battery, the hungrier: the paper's own example, in its section 3.
 
+    Hunger is full at half a charge: the way back must be gone on the other half.
+
     Args:
         entry: Of the observation, the charge from 0 to 1.
         observation_dim: Length of an observation.
@@ -83,12 +86,12 @@ class Battery(Keeper):
         self.entry = entry
 
     def hunger(self, step: int, observation: np.ndarray) -> np.ndarray:
-        """One less the charge."""
+        """What the charge lacks of full, in halves."""
         return self.in_evaluation(observation)
 
     def in_evaluation(self, observation: np.ndarray) -> np.ndarray:
         """The battery says it also here."""
-        return np.clip(1.0 - observation[:, self.entry], 0.0, 1.0)
+        return np.clip((1.0 - observation[:, self.entry]) / LACK_OF_HUNGRY, 0.0, 1.0)
 
 
 class Drawn(Keeper):

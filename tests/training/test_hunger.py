@@ -75,9 +75,9 @@ def test_draws_are_held_for_an_episode_in_each_world():
 
 def test_an_empty_battery_makes_hungry_in_training_and_evaluation():
     battery = Battery(-1, observation_dim=2)
-    observation = np.array([[5.0, 1.0], [5.0, 0.25], [5.0, 0.0]])
-    assert battery.hunger(0, observation).tolist() == [0.0, 0.75, 1.0]
-    assert battery.in_evaluation(observation).tolist() == [0.0, 0.75, 1.0]
+    observation = np.array([[5.0, 1.0], [5.0, 0.75], [5.0, 0.5], [5.0, 0.0]])
+    assert battery.hunger(0, observation).tolist() == [0.0, 0.5, 1.0, 1.0]
+    assert battery.in_evaluation(observation).tolist() == [0.0, 0.5, 1.0, 1.0]
 
 
 def test_a_battery_must_be_in_the_observation():
