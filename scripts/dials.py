@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
+import torch
 import tyro
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -136,6 +137,7 @@ def measure_sweep(settings: Settings) -> list[Row]:
     run_once(settings)
     environment = make_environment(settings.env_id, settings.env_kwargs, history=settings.history)
     agent = load_agent(settings.out, settings, environment)
+    torch.manual_seed(settings.seed)
     rows = []
     for hunger in HUNGERS:
         agent.hunger = hunger
