@@ -28,6 +28,7 @@ from deep_curiosity.transitions import (
     check_batch,
     check_counts,
     check_transition,
+    first_of,
 )
 
 SPREAD_DECAY = 0.99  # of the running spreads of the values, for each update
@@ -292,7 +293,7 @@ class CuriousActorCritic(nn.Module):
                 "`bonus` must be given if and only if the agent has `curiosity`, "
                 f"got {bonus!r} with curiosity={self.curiosity}."
             )
-        transition = batch.first if isinstance(batch, Sequences) else batch
+        transition = first_of(batch)
         self._check_update(batch)
         hunger = self._drawn_hunger(transition.reward) if self.dial else self._hunger
         metrics = self._update_critics(batch, bonus, hunger)
@@ -315,15 +316,15 @@ class CuriousActorCritic(nn.Module):
         metrics = {"hunger": self._hunger.clone()}
         if self._has_curiosity_critic:
             metrics["curiosity_share"] = self.curiosity_share
-        generator = torch.Generator().manual_seed(0)  # leaves the global stream where it is
         if observation is not None:
             policy = self.policy(self.seen(observation))
-            with torch.random.fork_rng():
+            with torch.random.fork_rng():  # leaves the global stream where it is
                 torch.manual_seed(0)
                 information = action_information(policy, policy.draw())
             metrics["action_information_lower"] = information.lower
             metrics["action_information_upper"] = information.upper
         if not isinstance(self.prior, FlatPrior):
+            generator = torch.Generator().manual_seed(0)
             noise = torch.randn(NUM_PRIOR_DRAWS, self.action_dim, generator=generator)
             kl = self.prior.kl_to_uniform(noise.to(self.log_temperature))
             metrics["prior_kl_to_uniform"] = kl

@@ -49,6 +49,11 @@ class Sequences(NamedTuple):
         return Transition(*(field[rows] for field in self.steps))
 
 
+def first_of(batch: Transition | Sequences) -> Transition:
+    """The transitions themselves, or the first of every sequence."""
+    return batch.first if isinstance(batch, Sequences) else batch
+
+
 def check_batch(name: str, value: Tensor, dim: int, dtype: torch.dtype = torch.float32) -> None:
     """Reject what is not a batch of vectors of length `dim` in the precision of the networks.
 

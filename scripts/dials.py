@@ -8,6 +8,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Literal
 
+import gymnasium
 import numpy as np
 import torch
 import tyro
@@ -35,7 +36,6 @@ Row = dict[str, Any]
 HUNGERS = [tenth / 10 for tenth in range(11)]
 SWEPT_EPISODES = 10
 LAST_EPISODES = 20
-ROVER_STEPS = 400  # of an episode that does not starve
 GRID = (24, 16)  # cells of the pendulum's angle and speed
 
 SMALL = Settings(hidden_dim=64, log_interval=500, evaluation_interval=2_000)
@@ -164,11 +164,12 @@ def measure_survival(settings: Settings) -> list[Row]:
     state = load_checkpoint(settings.out)
     episodes = [Episode(*values) for values in state["history"]["episodes"][-LAST_EPISODES:]]
     steps = sum(episode.length for episode in episodes)
+    whole = gymnasium.spec("deep_curiosity/BatteryRover-v0").max_episode_steps
     position = state["learner"]["replay"]["rows"][-steps:, :2].numpy()
     cells = np.floor(np.clip((position + 1) / 2, 0, 1 - 1e-6) * CELLS_PER_SIDE).astype(int)
     return [
         {
-            "starved": sum(episode.length < ROVER_STEPS for episode in episodes),
+            "starved": sum(episode.length != whole for episode in episodes),
             "coverage": len(np.unique(cells, axis=0)) / CELLS_PER_SIDE**2,
             "mean_training_return": summary["mean_training_return"],
         }

@@ -21,7 +21,7 @@ from deep_curiosity.training.exploration import NOISES, Noise
 from deep_curiosity.training.hunger import make_keeper
 from deep_curiosity.training.machine import should_compile
 from deep_curiosity.training.settings import Settings
-from deep_curiosity.transitions import Sequences, Transition
+from deep_curiosity.transitions import Sequences, Transition, first_of
 
 NUM_DIAGNOSED_STATES = 512  # of replay, over which the information of the actions is estimated
 
@@ -145,7 +145,7 @@ class Learner:
     def update(self) -> dict[str, Tensor]:
         """One gradient step on the bonus's models and on every part of the agent."""
         batch = self._sample()
-        transition = batch.first if isinstance(batch, Sequences) else batch
+        transition = first_of(batch)
         if isinstance(self.bonus, CuriosityBonus):
             self.bonus.observe(transition, self.agent.act, self._visited())
         elif self.bonus is not None:
@@ -172,8 +172,7 @@ class Learner:
         """The part of an update that can be one graph; returns what to log."""
         metrics = {}
         if self.bonus_learner is not None:
-            transition = batch.first if isinstance(batch, Sequences) else batch
-            metrics["curiosity/model_loss"] = self.bonus_learner.fit(transition)
+            metrics["curiosity/model_loss"] = self.bonus_learner.fit(first_of(batch))
         agent_metrics = self.agent.update(batch, self.bonus)
         return metrics | {f"agent/{name}": value for name, value in agent_metrics.items()}
 

@@ -55,15 +55,12 @@ def load_policy(
     agent = load_agent(folder, settings, environment)
     keeper = make_keeper(settings, agent.observation_dim)
     if hunger is not None:
-        agent.hunger = hunger  # which checks it
+        agent.hunger = hunger
 
     def act(observation: Tensor) -> Tensor:
-        hungers = (
-            np.full(len(observation), hunger)
-            if hunger is not None
-            else keeper.in_evaluation(observation.numpy())
-        )
-        told = torch.as_tensor(hungers, dtype=torch.float32)
+        if hunger is not None:
+            return agent.act(observation, deterministic=True)
+        told = torch.as_tensor(keeper.in_evaluation(observation.numpy()), dtype=torch.float32)
         return agent.act(observation, deterministic=True, hunger=told)
 
     return act
