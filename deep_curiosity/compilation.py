@@ -14,7 +14,10 @@ WARM_UP = 3  # calls in which the graph is traced and settles
 
 
 def compiled(
-    function: Callable[Inputs, Output], *, fall_back: bool = False
+    function: Callable[Inputs, Output],
+    *,
+    device: str | torch.device = "cpu",
+    fall_back: bool = False,
 ) -> Callable[Inputs, Output]:
     """Compile a function that takes gradients and steps optimisers inside.
 
@@ -23,10 +26,14 @@ def compiled(
 
     Args:
         function: Free of Python that looks at values of tensors.
+        device: Where all tensors are. On a GPU the whole is one CUDA graph; its outputs live until
+            the next call.
         fall_back: Run the function as it is where it cannot be compiled; otherwise torch's error
             is raised.
     """
-    graph = torch.compile(_copied(function), fullgraph=True, dynamic=False, options=_options())
+    graph = torch.compile(
+        _copied(function), fullgraph=True, dynamic=False, options=_options(device)
+    )
     calls, failed = 0, False
 
     @wraps(function)
@@ -76,8 +83,8 @@ def _traced(
         return graph(*args, **kwargs)
 
 
-def _options() -> dict[str, Any]:
+def _options(device: str | torch.device) -> dict[str, Any]:
     options: dict[str, Any] = {"fallback_random": True}
-    if torch.cuda.is_available():
+    if torch.device(device).type == "cuda":
         options["triton.cudagraphs"] = True
     return options

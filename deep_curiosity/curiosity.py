@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
 from deep_curiosity.bonus import Bonus, Policy
@@ -394,7 +394,7 @@ class CuriosityBonus(Bonus):
     def _refresh(self, transition: Transition, fresh: Transition) -> None:
         """Renew the marginal's components, the standardisation and the probes."""
         (loc,), (log_var,), (log_weight,) = self._predict_in_turn(fresh.observation, fresh.action)
-        outcome = torch.multinomial(log_weight.exp(), 1).squeeze(-1)
+        outcome = drawn_outcome(log_weight)
         rows = torch.arange(outcome.shape[0], device=outcome.device)
         self.marginal.refresh(loc[rows, outcome], log_var[rows, outcome])
         observation, action = transition.observation, transition.action
@@ -415,6 +415,15 @@ class CuriosityBonus(Bonus):
         """Mean share of the predicted variance that is the floor: at 1 the model is sharper."""
         share = torch.exp(2 * math.log(self.dynamics.noise_floor) - prediction.log_var).mean(-1)
         return prediction.mean(share).mean()
+
+
+def drawn_outcome(log_weight: Float[Tensor, "batch outcomes"]) -> Int[Tensor, " batch"]:
+    """One outcome of each prediction, by its probability.
+
+    What `torch.multinomial` draws, without its look at the values, for which a device is waited.
+    """
+    probability = log_weight.exp()
+    return (probability / torch.empty_like(probability).exponential_()).argmax(-1)
 
 
 def entries_of(features: Sequence[int], observation_dim: int) -> list[int]:

@@ -152,7 +152,7 @@ class DynamicsEnsemble(nn.Module):
             )
             weight = (once & ~held_out) * float(self.members)
         else:
-            ones = torch.ones(self.members, *held_out.shape).to(observation)
+            ones = observation.new_ones(self.members, *held_out.shape)
             weight = torch.poisson(ones).masked_fill_(held_out, 0.0)
         change, target = self._change_and_target(observation, action, next_observation)
         nll = _negative_log_likelihood(change, target)
@@ -177,7 +177,7 @@ class DynamicsEnsemble(nn.Module):
         before = self._featured(transition.observation)
         after = self._featured(transition.next_observation)
         if self.feature_moments is not None:
-            check_finite("features", torch.cat([before, after]))
+            check_finite(features=torch.cat([before, after]))
             self.feature_moments.update(before)
         self.observation_moments.update(transition.observation)
         self.change_moments.update(after - before)

@@ -85,7 +85,8 @@ class NextStateMarginal(nn.Module):
         self.register_buffer("num_seen", torch.zeros((), dtype=torch.long))
         self.is_empty = True
         """Whether no state has been seen yet."""
-        self.register_load_state_dict_post_hook(_look_whether_empty)
+        self._num_seen = 0  # the same as a plain number: to read it waits for no device
+        self.register_load_state_dict_post_hook(_recount)
 
     @torch.no_grad()
     def refresh(
@@ -94,13 +95,13 @@ class NextStateMarginal(nn.Module):
         """Let predicted next states take the place of the oldest components, and fit `h`."""
         components = self.loc.shape[0]
         loc, log_var = loc[-components:], log_var[-components:]
-        slot = (self.num_seen + torch.arange(loc.shape[0], device=loc.device)) % components
+        slot = (self._num_seen + torch.arange(loc.shape[0], device=loc.device)) % components
         self.loc[slot], self.log_var[slot] = loc, log_var
-        self.num_seen.add_(loc.shape[0])
-        filled = torch.arange(components, device=loc.device) < self.num_seen
-        log_count = filled.sum().to(loc.dtype).log()
-        self.log_weight.copy_(torch.where(filled, -log_count, -math.inf))
-        self._fit_bandwidth(filled)
+        self._num_seen += loc.shape[0]
+        self.num_seen.fill_(self._num_seen)
+        num_filled = min(self._num_seen, components)
+        self.log_weight[:num_filled] = -math.log(num_filled)
+        self._fit_bandwidth(num_filled)
         self.is_empty = False
 
     @property
@@ -190,11 +191,11 @@ class NextStateMarginal(nn.Module):
         entropy = torch.special.entr(log_share.exp()).sum(-1)
         return (self.log_weight.exp() * entropy).sum().exp()
 
-    def _fit_bandwidth(self, filled: Tensor) -> None:
+    def _fit_bandwidth(self, num_filled: int) -> None:
         """Set the variance that widens every component, `h^2` times the variance of the means."""
-        spread = self.loc[filled].var(0, correction=0).log()
+        spread = self.loc[:num_filled].var(0, correction=0).log()
         if self.bandwidth == "silverman":
-            log_bandwidth = silverman_log_bandwidth(int(filled.sum()), self.loc.shape[1])
+            log_bandwidth = silverman_log_bandwidth(num_filled, self.loc.shape[1])
         elif self.bandwidth == "perplexity":
             log_bandwidth = self._log_bandwidth_at_target(spread)
         else:
@@ -214,8 +215,9 @@ class NextStateMarginal(nn.Module):
         return 0.5 * (low + high)
 
 
-def _look_whether_empty(marginal: NextStateMarginal, _: object) -> None:
-    marginal.is_empty = marginal.num_seen.item() == 0
+def _recount(marginal: NextStateMarginal, _: object) -> None:
+    marginal._num_seen = int(marginal.num_seen)
+    marginal.is_empty = marginal._num_seen == 0
 
 
 def silverman_log_bandwidth(num_points: int, dim: int) -> float:

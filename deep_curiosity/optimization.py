@@ -34,9 +34,9 @@ class Adam(nn.Module):
         for number, parameter in enumerate(self.targets):
             self.register_buffer(f"mean_{number}", torch.zeros_like(parameter))
             self.register_buffer(f"square_{number}", torch.zeros_like(parameter))
-        self.register_buffer("count", torch.zeros((), dtype=torch.float32))
-        self.register_buffer("step_size", torch.zeros((), dtype=torch.float32))
-        self.register_buffer("epsilon", torch.zeros((), dtype=torch.float32))
+        device = self.targets[0].device
+        for name in ("count", "step_size", "epsilon"):
+            self.register_buffer(name, torch.zeros((), dtype=torch.float32, device=device))
         self._correct_next()
 
     def step(self, loss: Tensor) -> None:

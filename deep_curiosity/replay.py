@@ -50,7 +50,7 @@ class ReplayBuffer:
         self._widths = [observation_dim, action_dim, 1, observation_dim, 1, 1]
         self._rows = torch.empty(capacity, sum(self._widths), device=device)
         self._num_added = 0
-        self._generator = torch.Generator().manual_seed(seed)
+        self._generator = torch.Generator(device).manual_seed(seed)
 
     def __len__(self) -> int:
         """Number of transitions held."""
@@ -78,7 +78,8 @@ class ReplayBuffer:
         }
         parts = [_finite_vector(name, *field) for name, field in fields.items()]
         row = np.concatenate([*parts, np.array([terminated, truncated], np.float32)])
-        self._rows[self._num_added % self.capacity] = torch.from_numpy(row)
+        slot = self._num_added % self.capacity
+        self._rows[slot].copy_(torch.from_numpy(row), non_blocking=True)
         self._num_added += 1
 
     def extend(
@@ -107,8 +108,8 @@ class ReplayBuffer:
         parts = [_finite_rows(name, *field) for name, field in fields.items()]
         newest = torch.from_numpy(np.concatenate(parts, axis=1))[-self.capacity :]
         self._num_added += num_rows
-        slot = torch.arange(self._num_added - len(newest), self._num_added) % self.capacity
-        self._rows[slot.to(self._rows.device)] = newest.to(self._rows.device)
+        slot = self._arange(self._num_added - len(newest), self._num_added) % self.capacity
+        self._rows[slot] = newest.to(self._rows.device, non_blocking=True)
 
     def sample(self, batch_size: int) -> Transition:
         """Draw transitions uniformly, with replacement.
@@ -117,7 +118,7 @@ class ReplayBuffer:
             ValueError: If the buffer is empty or `batch_size` is below 1.
         """
         self._check_draw(batch_size=batch_size)
-        return self._at(torch.randint(len(self), (batch_size,), generator=self._generator))
+        return self._at(self._draw(len(self), batch_size))
 
     def sample_sequences(self, batch_size: int, num_steps: int, *, stride: int = 1) -> Sequences:
         """Draw transitions as `sample` does, each with those that followed it.
@@ -132,13 +133,13 @@ class ReplayBuffer:
             ValueError: If the buffer is empty or a count is below 1.
         """
         self._check_draw(batch_size=batch_size, num_steps=num_steps, stride=stride)
-        start = torch.randint(len(self), (batch_size,), generator=self._generator)
-        age = start + stride * torch.arange(num_steps).unsqueeze(-1)  # from the oldest held
+        start = self._draw(len(self), batch_size)
+        age = start + stride * self._arange(num_steps).unsqueeze(-1)  # from the oldest held
         known = age < len(self)
         slot = self._num_added - len(self) + age.clamp(max=len(self) - 1)
         steps = self._at((slot % self.capacity).flatten())
         ended = (steps.terminated | steps.truncated).unflatten(0, (num_steps, batch_size))
-        goes_on = ~ended[:-1] & known[1:].to(ended.device)
+        goes_on = ~ended[:-1] & known[1:]
         alive = torch.cat([torch.ones_like(ended[:1]), goes_on]).cumprod(0).bool()
         return Sequences(steps, alive)
 
@@ -149,8 +150,7 @@ class ReplayBuffer:
             ValueError: If the buffer is empty or a count is below 1.
         """
         self._check_draw(batch_size=batch_size, window=window)
-        size = (batch_size,)
-        age = torch.randint(min(window, len(self)), size, generator=self._generator)
+        age = self._draw(min(window, len(self)), batch_size)
         return self._at((self._num_added - 1 - age) % self.capacity)
 
     def sample_fading(self, batch_size: int, *, half_life: int) -> Transition:
@@ -162,7 +162,12 @@ class ReplayBuffer:
         self._check_draw(batch_size=batch_size, half_life=half_life)
         rate = math.log(2) / half_life
         held = -math.expm1(-rate * len(self))  # weight of what is held, as a share of all
-        share = torch.rand(batch_size, generator=self._generator, dtype=torch.float64)
+        share = torch.rand(
+            batch_size,
+            generator=self._generator,
+            dtype=torch.float64,
+            device=self._rows.device,
+        )
         age = (torch.log1p(-held * share) / -rate).long().clamp_(max=len(self) - 1)
         return self._at((self._num_added - 1 - age) % self.capacity)
 
@@ -173,7 +178,7 @@ class ReplayBuffer:
             ValueError: If the buffer is empty or `num_rows` is below 1.
         """
         self._check_draw(num_rows=num_rows)
-        return self._at(torch.arange(num_rows) * len(self) // num_rows)
+        return self._at(self._arange(num_rows) * len(self) // num_rows)
 
     def all(self) -> Transition:
         """Every transition held, oldest first."""
@@ -273,9 +278,18 @@ class ReplayBuffer:
         if len(self) == 0:
             raise ValueError("the replay must hold a transition before it is sampled, got 0.")
 
+    def _arange(self, *bounds: int) -> Int[Tensor, " numbers"]:
+        return torch.arange(*bounds, device=self._rows.device)
+
+    def _draw(self, bound: int, batch_size: int) -> Int[Tensor, " batch"]:
+        """Whole numbers below a bound, where the rows are: nothing waits for a device."""
+        return torch.randint(
+            bound, (batch_size,), generator=self._generator, device=self._rows.device
+        )
+
     def _at(self, slot: Int[Tensor, " batch"]) -> Transition:
         """The transitions in some slots."""
-        return self._transition(self._rows.index_select(0, slot.to(self._rows.device)))
+        return self._transition(self._rows.index_select(0, slot))
 
     def _transition(self, rows: Float[Tensor, "batch row"]) -> Transition:
         observation, action, reward, next_observation, terminated, truncated = rows.split(

@@ -93,18 +93,20 @@ def check_counts(**counts: int) -> None:
             raise ValueError(f"`{name}` must be at least 1, got {count}.")
 
 
-def check_finite(name: str, value: Tensor) -> None:
+def check_finite(**values: Tensor) -> None:
     """Reject NaN and infinity, naming the first row that has one.
 
     Raises:
         ValueError: If any entry is NaN or infinite.
     """
-    if math.isfinite(value.sum().item()):  # one pass; only a sum that overflows needs another
+    total = torch.stack([value.sum() for value in values.values()]).sum()
+    if math.isfinite(total.item()):  # one wait for a device; only overflow needs another look
         return
-    finite = torch.isfinite(value)
-    if not finite.all():
-        row = int((~finite).nonzero()[0, 0])
-        raise ValueError(f"`{name}` must be finite, got {value[row].tolist()} in row {row}.")
+    for name, value in values.items():
+        finite = torch.isfinite(value)
+        if not finite.all():
+            row = int((~finite).nonzero()[0, 0])
+            raise ValueError(f"`{name}` must be finite, got {value[row].tolist()} in row {row}.")
 
 
 def check_transition(
@@ -127,13 +129,16 @@ def check_transition(
         ("action", action_dim),
         ("next_observation", observation_dim),
     ):
-        value = getattr(transition, name)
-        check_batch(name, value, dim, dtype)
-        check_finite(name, value)
+        check_batch(name, getattr(transition, name), dim, dtype)
     check_scalars("reward", transition.reward, dtype)
-    check_finite("reward", transition.reward)
     check_scalars("terminated", transition.terminated, torch.bool)
     check_scalars("truncated", transition.truncated, torch.bool)
     num_rows = {name: getattr(transition, name).shape[0] for name in transition._fields}
     if len(set(num_rows.values())) != 1 or num_rows["observation"] == 0:
         raise ValueError(f"all fields must share one batch size of at least 1, got {num_rows}.")
+    check_finite(
+        observation=transition.observation,
+        action=transition.action,
+        next_observation=transition.next_observation,
+        reward=transition.reward,
+    )

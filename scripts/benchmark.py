@@ -17,10 +17,16 @@ import tyro
 
 from deep_curiosity.benchmark.agents import measure_agents
 from deep_curiosity.benchmark.contenders import make_peer
-from deep_curiosity.benchmark.costs import measure_bonus, measure_growth
+from deep_curiosity.benchmark.costs import measure_bonus, measure_devices, measure_growth
 from deep_curiosity.benchmark.ours import OurAgent
 from deep_curiosity.benchmark.page import AS_USED, SAME_PRECISION, write_page
-from deep_curiosity.benchmark.pictures import draw_agents, draw_bonus, draw_growth, draw_vector
+from deep_curiosity.benchmark.pictures import (
+    draw_agents,
+    draw_bonus,
+    draw_devices,
+    draw_growth,
+    draw_vector,
+)
 from deep_curiosity.benchmark.tables import read_rows, save_rows
 from deep_curiosity.benchmark.vector import measure_vector_environments
 from deep_curiosity.training import Settings
@@ -37,6 +43,7 @@ OURS = {
 BONUS_CALLS = 50  # in a turn: a tenth of a second
 ADAPTER_CALLS = 50  # in a turn: three seconds
 UPDATES = 20  # in a turn: a multiple of the interval at which the marginal is renewed
+GPU_BATCHES = (256, 1_024, 4_096)
 WORLD_STEPS = 2_000  # in a turn, of all worlds
 TIMED_TASKS = [  # one of each body: the other tasks move the same ones
     f"deep_curiosity/{name}-v0"
@@ -54,11 +61,15 @@ class Args:
     """Environment steps of an agent in a turn; best a multiple of 20."""
     out: Path = Path("docs/benchmark")
     """Folder for tables, pictures and their README.md."""
-    only: Literal["agents", "bonus", "scaling", "vector", "adapters"] | None = None
+    only: Literal["agents", "bonus", "scaling", "vector", "adapters", "cuda"] | None = None
     """One section; the page keeps what is there of the others."""
     peers: dict[str, str] = field(default_factory=dict)
     """Further agents, each a name and module:callable, which makes a contender as described in
     deep_curiosity/benchmark/contenders.py."""
+
+
+class LeftOutError(Exception):
+    """A section that cannot be measured here, and why."""
 
 
 def main(args: Args) -> None:
@@ -66,10 +77,15 @@ def main(args: Args) -> None:
     args.out.mkdir(parents=True, exist_ok=True)
     prepare_machine(replace(CURIOUS, compile="off"))
     for section, measure in SECTIONS.items():
-        if args.only in (None, section):
+        if args.only not in (None, section):
+            continue
+        try:
             measure(args)
-            note_machine(args.out / "machine.csv", section)
-            print(f"{section}: measured", flush=True)
+        except LeftOutError as error:
+            print(f"{section}: left out, {error}")
+            continue
+        note_machine(args.out / "machine.csv", section)
+        print(f"{section}: measured", flush=True)
     write_page(args.out)
     print(f"See {args.out / 'README.md'}")
 
@@ -90,7 +106,7 @@ def agents(args: Args) -> None:
     turns, processes = measure_agents(contenders, ours, repeats=args.repeats, steps=args.steps)
     save_rows(args.out / "agents.csv", turns)
     save_rows(args.out / "processes.csv", processes)
-    draw_agents(args.out / "agents.png", turns)
+    draw_agents(args.out / "agents.png", turns, ours)
 
 
 def bonus(args: Args) -> None:
@@ -115,14 +131,39 @@ def vector(args: Args) -> None:
 
 
 def adapters(args: Args) -> None:
-    """What an adapter costs beyond the bonus itself; left out where a library is missing."""
+    """What an adapter costs beyond the bonus itself."""
     try:
         from deep_curiosity.benchmark.adapters import measure_adapters
     except ImportError as error:
-        print(f"adapters are left out: {error}")
-        return
+        raise LeftOutError(str(error)) from error
     rows = measure_adapters(PLAIN.env_id, repeats=args.repeats, calls=ADAPTER_CALLS)
     save_rows(args.out / "adapters.csv", rows)
+
+
+def cuda(args: Args) -> None:
+    """Agents, and an update as the batch grows, on a GPU and on the CPU beside it."""
+    if not torch.cuda.is_available():
+        raise LeftOutError("torch sees no GPU")
+    ours = {
+        f"{name}, {how}, {device}": replace(OURS[name], compile=switch, device=device)
+        for device in ("cuda", "cpu")
+        for name in ("plain", "curious")
+        for how, switch in {"compiled": "on", "eager": "off"}.items()
+    }
+    contenders = {name: partial(OurAgent, own, "auto") for name, own in ours.items()} | {
+        f"{AS_USED}, {device}": partial(
+            make_peer, STABLE_BASELINES, PLAIN.env_id, "highest", device
+        )
+        for device in ("cuda", "cpu")
+    }
+    turns, processes = measure_agents(contenders, {}, repeats=args.repeats, steps=args.steps)
+    save_rows(args.out / "cuda_agents.csv", turns)
+    save_rows(args.out / "cuda_processes.csv", processes)
+    draw_agents(args.out / "cuda_agents.png", turns, ours)
+
+    rows = measure_devices(CURIOUS, GPU_BATCHES, repeats=args.repeats, updates=UPDATES)
+    save_rows(args.out / "cuda_updates.csv", rows)
+    draw_devices(args.out / "cuda_updates.png", rows)
 
 
 SECTIONS = {
@@ -131,6 +172,7 @@ SECTIONS = {
     "scaling": scaling,
     "vector": vector,
     "adapters": adapters,
+    "cuda": cuda,
 }
 
 
@@ -139,6 +181,7 @@ def note_machine(path: Path, section: str) -> None:
     row = {
         "section": section,
         "cpu": cpu_name(),
+        "gpu": torch.cuda.get_device_name() if section == "cuda" else "",
         "cores": os.cpu_count(),
         "torch": torch.__version__,
         "precision": torch.get_float32_matmul_precision(),

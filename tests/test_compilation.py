@@ -2,6 +2,7 @@ import subprocess
 import sys
 
 import pytest
+import torch
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs a C++ compiler")
 
@@ -18,10 +19,12 @@ torch.set_num_threads(1)
 torch.manual_seed(0)
 agent = CuriousActorCritic(3, 2, hidden_dims=(32, 32), prior="learned", policy_modes=2, **OPTIONS)
 bonus = CuriosityBonus(3, 2, hidden_dims=(32, 32), members=2, outcomes=2, components=64, **BONUS)
+agent.to(DEVICE), bonus.to(DEVICE)
 flags = torch.rand(64) < 0.1
 batches = [
-    Transition(*torch.randn(1, 64, 3), torch.rand(64, 2) * 2 - 1, torch.randn(64),
-               torch.randn(64, 3), flags, ~flags)
+    [field.to(DEVICE) for field in (
+        torch.randn(64, 3), torch.rand(64, 2) * 2 - 1, torch.randn(64), torch.randn(64, 3),
+        flags, ~flags)]
     for _ in range(20)
 ]
 
@@ -33,12 +36,18 @@ def learn(agent, bonus, compile):
         return loss.detach()
     update = agent.update
     if compile:
-        fit, update = compiled(fit), compiled(update)
+        fit, update = (compiled(function, device=DEVICE) for function in (fit, update))
     torch.manual_seed(1)
-    for transition in batches:
+    for number, fields in enumerate(batches):
+        transition = Transition(*fields)
+        unwatched = number < 10 or not compile or bonus.pace.is_due  # a renewal looks at values
+        if DEVICE == "cuda":
+            torch.cuda.set_sync_debug_mode("default" if unwatched else "error")
         fit(transition)
         bonus.observe(transition, agent.act)
         metrics = update(transition, bonus)
+    if DEVICE == "cuda":
+        torch.cuda.set_sync_debug_mode("default")
     return [*agent.parameters(), *bonus.parameters(), *metrics.values()]
 
 eager = learn(deepcopy(agent), deepcopy(bonus), compile=False)
@@ -109,6 +118,13 @@ CLIMBED = {"curiosity_discount": 0.0}
 slow = pytest.mark.slow
 
 
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+def test_on_a_gpu_compiled_updates_give_the_same_numbers_and_wait_for_nothing():
+    program = 'DEVICE, OPTIONS = "cuda", {}\n' + LEARN_TWICE.replace("**BONUS", "")
+    (error,) = output_of(program)
+    assert float(error) < 1e-4
+
+
 @pytest.mark.parametrize(
     ("options", "bonus", "within"),
     [
@@ -120,7 +136,9 @@ slow = pytest.mark.slow
     ],
 )
 def test_compiled_and_eager_updates_give_the_same_numbers(options, bonus, within):
-    program = f"OPTIONS = {options}\n" + LEARN_TWICE.replace("**BONUS", f"**{bonus}")
+    program = f'DEVICE, OPTIONS = "cpu", {options}\n' + LEARN_TWICE.replace(
+        "**BONUS", f"**{bonus}"
+    )
     (error,) = output_of(program)
     assert float(error) < within
 

@@ -60,7 +60,7 @@ def test_what_is_not_finite_is_rejected_with_its_row(bad):
     value = torch.zeros(4, 2)
     value[2, 1] = bad
     with pytest.raises(ValueError, match=r"`action` must be finite.*row 2"):
-        check_finite("action", value)
+        check_finite(action=value)
 
 
 @pytest.mark.parametrize("name", ["observation", "action", "next_observation"])

@@ -20,6 +20,7 @@ from deep_curiosity.curiosity import CuriosityBonus
 from deep_curiosity.replay import ReplayBuffer
 from deep_curiosity.training.collection import EnvironmentSteps
 from deep_curiosity.training.learner import Learner
+from deep_curiosity.training.machine import wait_for
 from deep_curiosity.training.settings import Settings
 from deep_curiosity.transitions import Transition
 
@@ -61,11 +62,48 @@ def measure_growth(
             "size": size,
             "value": value,
             "repeat": repeat,
-            "update_ms": 1e3 * seconds_per_call(learner.update, updates),
+            "update_ms": _update_milliseconds(learner, updates),
         }
         for repeat in range(repeats)
         for (size, value), learner in learners.items()
     ]
+
+
+def measure_devices(
+    settings: Settings, batch_sizes: tuple[int, ...], *, repeats: int, updates: int
+) -> list[Row]:
+    """Milliseconds of an update at every batch on a GPU, eager and compiled, and on the CPU.
+
+    Args:
+        settings: Of the agent.
+        batch_sizes: How many transitions an update takes.
+        repeats: Turns of each.
+        updates: In a turn; a multiple of the interval at which the marginal is renewed.
+    """
+    places: dict[str, dict[str, Any]] = {
+        "GPU, compiled": {"device": "cuda", "compile": "on"},
+        "GPU, eager": {"device": "cuda", "compile": "off"},
+        "CPU, eager": {"device": "cpu", "compile": "off"},
+    }
+    learners = {
+        (where, batch_size): _learner(replace(settings, **place), "batch_size", batch_size)
+        for where, place in places.items()
+        for batch_size in batch_sizes
+    }
+    return [
+        {
+            "where": where,
+            "batch_size": batch_size,
+            "repeat": repeat,
+            "update_ms": _update_milliseconds(learner, updates),
+        }
+        for repeat in range(repeats)
+        for (where, batch_size), learner in learners.items()
+    ]
+
+
+def _update_milliseconds(learner: Learner, updates: int) -> float:
+    return 1e3 * seconds_per_call(learner.update, updates, learner.settings.device)
 
 
 def _learner(settings: Settings, size: str, value: int) -> Learner:
@@ -167,11 +205,13 @@ def peak_allocation(function: Callable[[], Any]) -> int:
     return int(np.cumsum([event["args"]["Bytes"] for event in memory]).max(initial=0))
 
 
-def seconds_per_call(function: Callable[[], Any], calls: int) -> float:
-    """Mean time of a call."""
+def seconds_per_call(function: Callable[[], Any], calls: int, device: str = "cpu") -> float:
+    """Mean time of a call, its work on a device included."""
+    wait_for(device)
     started = time.perf_counter()
     for _ in range(calls):
         function()
+    wait_for(device)
     return (time.perf_counter() - started) / calls
 
 

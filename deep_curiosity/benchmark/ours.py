@@ -16,6 +16,7 @@ from deep_curiosity.training.machine import (
     matmul_rate,
     prepare_machine,
     should_compile,
+    wait_for,
 )
 from deep_curiosity.training.settings import Settings
 
@@ -91,6 +92,7 @@ class OurAgent:
             step, _ = self.collector.step(action)
             self.learner.store(step)
             self.learner.update()
+        wait_for(self.learner.settings.device)
 
     def seconds(self) -> dict[str, float]:
         """Time that each part took in the newest call of `step`, and the whole `update`."""

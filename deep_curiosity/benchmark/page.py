@@ -29,6 +29,7 @@ def write_page(out: Path) -> None:
         ("scaling", growth_section),
         ("vector", vector_section),
         ("adapters", adapters_section),
+        ("cuda", cuda_section),
     ]
     machines = {row["section"]: row for row in read_rows(out / "machine.csv")}
     text = [
@@ -44,8 +45,9 @@ def write_page(out: Path) -> None:
 
 
 def _machine_line(machine: Row) -> str:
+    gpu = f"{machine['gpu']}, " if machine.get("gpu") else ""
     return (
-        f"Machine: {machine['cpu']}, {machine['cores']:.0f} cores, torch {machine['torch']}, "
+        f"Machine: {gpu}{machine['cpu']}, {machine['cores']:.0f} cores, torch {machine['torch']}, "
         f"matrix products {machine['precision']}. Command:\n\n```sh\n{machine['command']}\n```\n"
     )
 
@@ -245,6 +247,45 @@ curious sample; HalfCheetah-v5, batch 256, two layers of 256, eager. What is lef
 sample without the other two is the adapter's overhead, in percent of the training step.
 
 {markdown_table([*header, "overhead, %"], lines)}
+"""
+
+
+def cuda_section(out: Path) -> str:
+    """Agents and updates on a GPU and on the CPU beside it."""
+    agents, updates = read_rows(out / "cuda_agents.csv"), read_rows(out / "cuda_updates.csv")
+    processes = {str(row["contender"]): row for row in read_rows(out / "cuda_processes.csv")}
+    lines = [
+        [
+            str(name),
+            spread(own, "steps_per_second"),
+            spread(own, rate_over(agents, f"{AS_USED}, cpu")),
+            spread(own, rate_over(agents, f"{AS_USED}, cuda")),
+            f"{processes[str(name)]['first_update_seconds']:.1f}",
+        ]
+        for (name,), own in grouped(agents, "contender").items()
+    ]
+    header = ["agent", "steps per second", "to SB3, cpu", "to SB3, cuda", "first update, s"]
+    sizes = [size for (size,) in grouped(updates, "batch_size")]
+    growth = [
+        [str(where), *(spread(same, "update_ms") for same in grouped(own, "batch_size").values())]
+        for (where,), own in grouped(updates, "where").items()
+    ]
+    columns = ["batch", *(f"{size:.0f}" for size in sizes)]
+    return f"""## GPU
+
+The agents as above, one world of HalfCheetah-v5, one update for every step, on a GPU and on one
+thread of the CPU beside it. Acting waits for the update before it, as an action must come back
+from the GPU; nothing else does.
+
+![Environment steps per second on both devices](cuda_agents.png)
+
+{markdown_table(header, lines)}
+
+Milliseconds of one update of the curious agent with the learned prior, as the batch grows.
+
+![An update against the batch](cuda_updates.png)
+
+{markdown_table(columns, growth)}
 """
 
 

@@ -1,6 +1,6 @@
 """Pictures of what was measured: medians, and ranges over turns."""
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -14,14 +14,14 @@ from deep_curiosity.benchmark.tables import grouped, median, slope
 OURS, THEIRS = "#1f5fa8", "#888888"
 
 
-def draw_agents(path: Path, rows: Sequence[Row]) -> None:
-    """Bars: steps per second of each contender; ours are those whose parts are known."""
+def draw_agents(path: Path, rows: Sequence[Row], ours: Container[str]) -> None:
+    """Bars: steps per second of each contender, ours in colour."""
     groups = {str(name): own for (name,), own in grouped(rows, "contender").items()}
     figure = Figure(figsize=(8, 0.42 * len(groups) + 1), layout="constrained")
     axes = figure.subplots()
     rates = [[row["steps_per_second"] for row in own] for own in groups.values()]
     middle = np.median(rates, axis=1)
-    colors = [OURS if own[0].get("update_ms") else THEIRS for own in groups.values()]
+    colors = [OURS if name in ours else THEIRS for name in groups]
     bars = axes.barh(list(groups), middle, xerr=_reach(rates), color=colors, capsize=3)
     axes.bar_label(bars, fmt="%.0f", label_type="center", color="white")
     axes.invert_yaxis()
@@ -39,6 +39,16 @@ def draw_growth(path: Path, rows: Sequence[Row]) -> None:
         draw_power(axes, own, "value", "update_ms", "update")
         axes.set_xlabel(str(size).replace("_", " "))
     panels[0].set_ylabel("ms")
+    figure.savefig(path, dpi=120)
+
+
+def draw_devices(path: Path, rows: Sequence[Row]) -> None:
+    """Milliseconds of an update against the batch on every device, on logarithmic axes."""
+    figure = Figure(figsize=(5.2, 3.8), layout="constrained")
+    axes = figure.subplots()
+    for (where,), own in grouped(rows, "where").items():
+        draw_power(axes, own, "batch_size", "update_ms", str(where))
+    axes.set(xlabel="batch", ylabel="ms of an update")
     figure.savefig(path, dpi=120)
 
 

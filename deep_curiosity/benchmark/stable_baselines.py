@@ -17,12 +17,15 @@ class StableBaselines:
     Args:
         env_id: Task.
         precision: Of matrix products; torch's own default is `"highest"`.
+        device: Of networks and updates.
     """
 
-    def __init__(self, env_id: str, precision: MatmulPrecision = "highest") -> None:
+    def __init__(
+        self, env_id: str, precision: MatmulPrecision = "highest", device: str = "cpu"
+    ) -> None:
         torch.set_float32_matmul_precision(precision)
         self._environment = gymnasium.make(env_id)
-        self._agent = SAC("MlpPolicy", self._environment, learning_starts=0, seed=0, device="cpu")
+        self._agent = SAC("MlpPolicy", self._environment, learning_starts=0, seed=0, device=device)
 
     def fill(self, num_transitions: int) -> None:
         """Take some random steps, and repeat them in replay."""

@@ -40,9 +40,6 @@ class Learner:
         self.keeper = make_keeper(settings, observation_dim)
         self.agent = make_agent(settings, observation_dim, action_dim)
         self.bonus = make_run_bonus(settings, observation_dim, action_dim)
-        self.agent.to(settings.device)
-        if self.bonus is not None:
-            self.bonus.to(settings.device)
         self.noise = (
             None
             if settings.exploration == "policy"
@@ -53,6 +50,9 @@ class Learner:
             if self.bonus is None
             else BonusLearner(self.bonus, learning_rate=settings.model_learning_rate)
         )
+        self.agent.to(settings.device)
+        if self.bonus_learner is not None:
+            self.bonus_learner.to(settings.device)
         self.replay = ReplayBuffer(
             settings.replay_capacity,
             observation_dim,
@@ -70,7 +70,11 @@ class Learner:
         self._reflex = Reflex(self.agent.policy) if quick else None
         self._learn = self._learn_eagerly
         if should_compile(settings):
-            self._learn = compiled(self._learn_eagerly, fall_back=settings.compile == "auto")
+            self._learn = compiled(
+                self._learn_eagerly,
+                device=settings.device,
+                fall_back=settings.compile == "auto",
+            )
 
     def turn(self, step: int, observation: np.ndarray) -> None:
         """Set what goes with time, or with what is seen, before a step is taken.
@@ -192,7 +196,7 @@ class Learner:
             "noise": {} if self.noise is None else self.noise.state_dict(),
             "keeper": self.keeper.state_dict(),
             "replay": self.replay.state_dict(),
-            "random": torch.get_rng_state(),
+            "random": self._random_state(),
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -204,7 +208,16 @@ class Learner:
             self.noise.load_state_dict(state["noise"])
         self.keeper.load_state_dict(state["keeper"])
         self.replay.load_state_dict(state["replay"])
-        torch.set_rng_state(state["random"])
+        torch.set_rng_state(state["random"]["cpu"])
+        if "cuda" in state["random"]:
+            torch.cuda.set_rng_state(state["random"]["cuda"], self.settings.device)
+
+    def _random_state(self) -> dict[str, Tensor]:
+        """Of the global generators that the run draws from."""
+        state = {"cpu": torch.get_rng_state()}
+        if torch.device(self.settings.device).type == "cuda":
+            state["cuda"] = torch.cuda.get_rng_state(self.settings.device)
+        return state
 
 
 def make_agent(settings: Settings, observation_dim: int, action_dim: int) -> CuriousActorCritic:

@@ -53,10 +53,10 @@ def matmul_rate(
     left, right = torch.randn(2, members, size, size, device=device)
     seconds = []
     for _ in range(repeats):
-        _wait_for(device)
+        wait_for(device)
         started = time.perf_counter()
         torch.bmm(left, right)
-        _wait_for(device)
+        wait_for(device)
         seconds.append(time.perf_counter() - started)
     return 2 * members * size**3 / min(seconds)
 
@@ -90,6 +90,7 @@ def _has_compiler(device: str) -> bool:
     return shutil.which(os.environ.get("CXX", "g++")) is not None
 
 
-def _wait_for(device: str) -> None:
+def wait_for(device: str) -> None:
+    """Let the work that was handed to a GPU end, so that a clock may be read."""
     if torch.device(device).type == "cuda":
         torch.cuda.synchronize()
