@@ -5,11 +5,11 @@ from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float
 from torch import Tensor
 
 from deep_curiosity.bonus import Bonus, Policy
-from deep_curiosity.distributions import gaussian_log_prob
+from deep_curiosity.distributions import drawn, gaussian_log_prob
 from deep_curiosity.divergences import jensen_shannon_lower, jensen_shannon_upper
 from deep_curiosity.dynamics import DynamicsEnsemble, Features, Prediction, rows_in_turn
 from deep_curiosity.marginal import NextStateMarginal
@@ -394,7 +394,7 @@ class CuriosityBonus(Bonus):
     def _refresh(self, transition: Transition, fresh: Transition) -> None:
         """Renew the marginal's components, the standardisation and the probes."""
         (loc,), (log_var,), (log_weight,) = self._predict_in_turn(fresh.observation, fresh.action)
-        outcome = drawn_outcome(log_weight)
+        outcome = drawn(log_weight, dim=-1)
         rows = torch.arange(outcome.shape[0], device=outcome.device)
         self.marginal.refresh(loc[rows, outcome], log_var[rows, outcome])
         observation, action = transition.observation, transition.action
@@ -415,15 +415,6 @@ class CuriosityBonus(Bonus):
         """Mean share of the predicted variance that is the floor: at 1 the model is sharper."""
         share = torch.exp(2 * math.log(self.dynamics.noise_floor) - prediction.log_var).mean(-1)
         return prediction.mean(share).mean()
-
-
-def drawn_outcome(log_weight: Float[Tensor, "batch outcomes"]) -> Int[Tensor, " batch"]:
-    """One outcome of each prediction, by its probability.
-
-    What `torch.multinomial` draws, without its look at the values, for which a device is waited.
-    """
-    probability = log_weight.exp()
-    return (probability / torch.empty_like(probability).exponential_()).argmax(-1)
 
 
 def entries_of(features: Sequence[int], observation_dim: int) -> list[int]:

@@ -82,8 +82,7 @@ class SquashedMixture(NamedTuple):
         pre_action = self.pre_actions(torch.randn_like(self.loc))
         if len(pre_action) == 1:
             return pre_action[0]
-        gumbel = -torch.empty_like(self.log_weight).exponential_().log()
-        return _rows_of(pre_action, (self.log_weight + gumbel).argmax(0))
+        return _rows_of(pre_action, drawn(self.log_weight, dim=0))
 
     def log_prob(
         self, pre_action: Float[Tensor, "*draws batch action_dim"]
@@ -98,6 +97,15 @@ class SquashedMixture(NamedTuple):
     def mode(self) -> Float[Tensor, "batch action_dim"]:
         """Action at the centre of the weightiest Gaussian."""
         return torch.tanh(_rows_of(self.loc, self.log_weight.argmax(0)))
+
+
+def drawn(log_weight: Float[Tensor, "..."], *, dim: int) -> Int[Tensor, "..."]:
+    """An index along `dim` for each place elsewhere, by its probability: Gumbel's trick.
+
+    `torch.multinomial` would look at the values first, for which a device is waited.
+    """
+    gumbel = -(-torch.rand_like(log_weight).log()).log()
+    return (log_weight + gumbel).argmax(dim)
 
 
 def _rows_of(

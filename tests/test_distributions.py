@@ -14,6 +14,7 @@ from torch.distributions.transforms import TanhTransform
 
 from deep_curiosity.distributions import (
     SquashedMixture,
+    drawn,
     flat_log_prob,
     gaussian_log_prob,
     log_abs_det_tanh,
@@ -176,6 +177,15 @@ def test_a_mixture_draws_from_its_modes_by_their_weights():
     expected = cdf @ torch.tensor([0.7, 0.3])
     actual = (draws < below[:, None]).float().mean(-1)
     torch.testing.assert_close(actual, expected, atol=0.01, rtol=0)
+
+
+@pytest.mark.parametrize("dim", [0, 1])
+def test_indices_are_drawn_by_their_probability(dim):
+    probability = torch.tensor([0.1, 0.6, 0.3])
+    log_weight = probability.log().expand(20_000, 3)
+    index = drawn(log_weight if dim == 1 else log_weight.mT, dim=dim)
+    share = torch.bincount(index, minlength=3) / 20_000
+    torch.testing.assert_close(share, probability, atol=0.015, rtol=0.0)
 
 
 def test_expectations_mode_by_mode_are_those_of_the_mixture():
