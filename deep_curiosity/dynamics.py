@@ -302,5 +302,7 @@ def soft_clamp(value: Float[Tensor, "*batch"], low: float, high: float) -> Float
 def is_held_out(row: Float[Tensor, "batch dim"]) -> Bool[Tensor, " batch"]:
     """Mark one row in twenty by a hash of its bits: the same rows in every batch and every run."""
     bits = row.float().contiguous().view(torch.int32).long() + HASH_OFFSET
-    mixed = (bits * (2 * torch.arange(bits.shape[-1], device=bits.device) + HASH_FACTOR)).sum(-1)
+    # two products: triton would keep the sum of the factors in 32 bits
+    mixed = bits * HASH_FACTOR + bits * (2 * torch.arange(bits.shape[-1], device=bits.device))
+    mixed = mixed.sum(-1)
     return (scrambled(mixed) >> 32) % HELD_OUT_SHARE == 0

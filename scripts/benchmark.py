@@ -146,9 +146,12 @@ def cuda(args: Args) -> None:
         raise LeftOutError("torch sees no GPU")
     ours = {
         f"{name}, {how}, {device}": replace(OURS[name], compile=switch, device=device)
-        for device in ("cuda", "cpu")
+        for device, ways in {
+            "cuda": {"compiled": "on", "eager": "off"},
+            "cpu": {"compiled": "on"},
+        }.items()
         for name in ("plain", "curious")
-        for how, switch in {"compiled": "on", "eager": "off"}.items()
+        for how, switch in ways.items()
     }
     contenders = {name: partial(OurAgent, own, "auto") for name, own in ours.items()} | {
         f"{AS_USED}, {device}": partial(
