@@ -86,5 +86,5 @@ def _traced(
 def _options(device: str | torch.device) -> dict[str, Any]:
     options: dict[str, Any] = {"fallback_random": True}
     if torch.device(device).type == "cuda":
-        options["triton.cudagraphs"] = True
+        options |= {"triton.cudagraphs": True, "graph_partition": False}
     return options

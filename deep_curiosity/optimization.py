@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -78,9 +79,9 @@ class Adam(nn.Module):
         torch._foreach_mul_(squares, SQUARE_DECAY)
         torch._foreach_addcmul_(squares, gradients, gradients, value=1 - SQUARE_DECAY)
         roots = torch._foreach_sqrt(squares)
-        torch._foreach_add_(roots, self.epsilon)
+        torch._foreach_add_(roots, self._read(self.epsilon))
         steps = torch._foreach_div(means, roots)
-        torch._foreach_mul_(steps, self.step_size)
+        torch._foreach_mul_(steps, self._read(self.step_size))
         torch._foreach_sub_(self.targets, steps)
 
     def _correct_next(self) -> None:
@@ -95,6 +96,10 @@ class Adam(nn.Module):
         root = square_share.sqrt()
         self.step_size.copy_(self.learning_rate * root / mean_share)
         self.epsilon.copy_(EPSILON * root)
+
+    def _read(self, number: Tensor) -> Any:
+        """A number for every parameter: read at once on a CPU, never waited for on a GPU."""
+        return [number] * len(self.targets) if number.is_cuda else number
 
     def _state(self, name: str) -> list[Tensor]:
         return [getattr(self, f"{name}_{number}") for number in range(len(self.targets))]

@@ -42,6 +42,7 @@ def a_step(number=0.0):
     return [number] * 3, [0.0], 0.0, [number + 1] * 3, False, False
 
 
+@pytest.mark.filterwarnings("ignore:Synchronization debug mode")
 def test_storing_and_drawing_wait_for_nothing():
     replay = ReplayBuffer(8, 3, 1, device="cuda")
     torch.cuda.set_sync_debug_mode("error")
