@@ -26,8 +26,8 @@ def compiled(
 
     Args:
         function: Free of Python that looks at values of tensors.
-        device: Where all tensors are. On a GPU the whole is one CUDA graph; its outputs live until
-            the next call.
+        device: Where all tensors are. On a GPU torch is asked for a CUDA graph, whose outputs live
+            until the next call.
         fall_back: Run the function as it is where it cannot be compiled; otherwise torch's error
             is raised.
     """

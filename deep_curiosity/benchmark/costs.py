@@ -2,7 +2,7 @@
 
 import json
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -52,21 +52,12 @@ def measure_growth(
         repeats: Turns of each.
         updates: In a turn; a multiple of the interval at which the marginal is renewed.
     """
-    learners = {
-        (size, value): _learner(settings, size, value)
+    learners = [
+        ({"size": size, "value": value}, _learner(settings, size, value))
         for size, values in growth.items()
         for value in values
-    }
-    return [
-        {
-            "size": size,
-            "value": value,
-            "repeat": repeat,
-            "update_ms": _update_milliseconds(learner, updates),
-        }
-        for repeat in range(repeats)
-        for (size, value), learner in learners.items()
     ]
+    return _updates_in_turns(learners, repeats, updates)
 
 
 def measure_devices(
@@ -85,25 +76,30 @@ def measure_devices(
         "GPU, eager": {"device": "cuda", "compile": "off"},
         "CPU, eager": {"device": "cpu", "compile": "off"},
     }
-    learners = {
-        (where, batch_size): _learner(replace(settings, **place), "batch_size", batch_size)
+    learners = [
+        (
+            {"where": where, "batch_size": batch_size},
+            _learner(replace(settings, **place), "batch_size", batch_size),
+        )
         for where, place in places.items()
         for batch_size in batch_sizes
-    }
+    ]
+    return _updates_in_turns(learners, repeats, updates)
+
+
+def _updates_in_turns(
+    learners: Sequence[tuple[Row, Learner]], repeats: int, updates: int
+) -> list[Row]:
+    """A row for every turn of every learner, below what it is labelled with."""
     return [
-        {
-            "where": where,
-            "batch_size": batch_size,
+        label
+        | {
             "repeat": repeat,
-            "update_ms": _update_milliseconds(learner, updates),
+            "update_ms": 1e3 * seconds_per_call(learner.update, updates, learner.settings.device),
         }
         for repeat in range(repeats)
-        for (where, batch_size), learner in learners.items()
+        for label, learner in learners
     ]
-
-
-def _update_milliseconds(learner: Learner, updates: int) -> float:
-    return 1e3 * seconds_per_call(learner.update, updates, learner.settings.device)
 
 
 def _learner(settings: Settings, size: str, value: int) -> Learner:

@@ -275,7 +275,7 @@ def cuda_section(out: Path) -> str:
 
 The agents as above, one world of HalfCheetah-v5, one update for every step, on a GPU and on one
 thread of the CPU beside it. Acting waits for the update before it, as an action must come back
-from the GPU; nothing else does.
+from the GPU.
 
 ![Environment steps per second on both devices](cuda_agents.png)
 
