@@ -1,7 +1,7 @@
 """Collection: environments stepped with full knowledge of how to get back to any step."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -11,6 +11,11 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from torch import Tensor
 
 from deep_curiosity_envs.clock import clock_stopped
+
+Info = Mapping[str, Any]
+Policy = Callable[[Tensor, Info], Tensor]
+"""Observations `(batch, observation_dim)`, and the info that came with them, to actions
+`(batch, action_dim)`."""
 
 
 class Episode(NamedTuple):
@@ -71,6 +76,8 @@ class Collector:
         self.episode: Episode
         self.info: dict[str, Any] = {}
         """What the environment said of the newest step."""
+        self.present_info: dict[str, Any]
+        """What it said with `observation`: the same, or what the reset after it said."""
         self._start()
 
     def step(self, action: np.ndarray) -> tuple[EnvironmentStep, list[Episode]]:
@@ -84,7 +91,7 @@ class Collector:
         )
         self.actions.append(np.array(action))
         self.episode = self.episode.after(float(reward), self.info)
-        self.observation = next_observation
+        self.observation, self.present_info = next_observation, self.info
         if not (terminated or truncated):
             return step, []
         finished = self.episode
@@ -114,7 +121,7 @@ class Collector:
 
     def _start(self) -> None:
         seed = _episode_seed(self.seed, self.num_episodes)
-        self.observation, _ = self.environment.reset(seed=seed)
+        self.observation, self.present_info = self.environment.reset(seed=seed)
         self.actions = []
         self.episode = Episode()
 
@@ -145,6 +152,8 @@ class VectorCollector:
         """Begun so far, in all worlds."""
         self.info: dict[str, Any] = {}
         """What the worlds said of the newest step."""
+        self.present_info: dict[str, Any] = {}
+        """What they said with `observation`: the same, or what the reset after it said."""
         self.actions: list[np.ndarray] = []
         """Of all worlds, `(num_envs, action_dim)` each, since the oldest episode began."""
         self._number = np.zeros(environment.num_envs, dtype=int)  # of the episode in each world
@@ -166,7 +175,7 @@ class VectorCollector:
         self._return += reward
         if "is_success" in self.info:
             self._success = np.fmax(self._success, self.info["is_success"])
-        self.observation = next_observation
+        self.observation, self.present_info = next_observation, self.info
         done = terminated | truncated
         finished = [
             Episode(float(self._return[i]), int(self._length[i]), float(self._success[i]))
@@ -208,7 +217,7 @@ class VectorCollector:
             number = self.num_episodes + np.cumsum(mask) - 1
             self.num_episodes += int(mask.sum())
         self._number[mask] = number[mask]
-        start, _ = self.environment.reset(
+        start, told = self.environment.reset(
             seed=[  # type: ignore[arg-type]  # every vector environment takes a list
                 _episode_seed(self.seed, int(number[world])) if chosen else None
                 for world, chosen in enumerate(mask)
@@ -216,6 +225,11 @@ class VectorCollector:
             options={"reset_mask": mask},
         )
         self.observation = np.where(mask[:, None], start, self.observation)
+        self.present_info = self.present_info | {
+            name: np.where(mask, value, self.present_info.get(name, value))
+            for name, value in told.items()
+            if np.shape(value) == mask.shape  # one for each world
+        }
         self._length[mask], self._return[mask], self._success[mask] = 0, 0.0, math.nan
         self.actions = self.actions[len(self.actions) - self._length.max() :]
 
@@ -233,12 +247,12 @@ def _check_repeated(observation: np.ndarray, expected: np.ndarray, num_steps: in
 
 
 def evaluate(
-    act: Callable[[Tensor], Tensor], environment: gymnasium.Env, *, episodes: int, seed: int
+    act: Policy, environment: gymnasium.Env, *, episodes: int, seed: int
 ) -> list[Episode]:
     """Run whole episodes of a policy, the same ones at every call.
 
     Args:
-        act: Observations `(1, observation_dim)` to actions `(1, action_dim)`.
+        act: The policy.
         environment: Apart from the one that is trained on.
         episodes: How many.
         seed: Of their resets.
@@ -246,7 +260,7 @@ def evaluate(
     collector = Collector(environment, seed)
     finished: list[Episode] = []
     while len(finished) < episodes:
-        action = act(as_batch(collector.observation))[0].numpy()
+        action = act(as_batch(collector.observation), collector.present_info)[0].numpy()
         finished += collector.step(action)[1]
     return finished
 

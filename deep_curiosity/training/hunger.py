@@ -1,4 +1,4 @@
-"""Who says how hungry the agent is, from step to step: a number, a schedule, a battery, a bandit.
+"""Who says how hungry the agent is, from step to step: the clock, a sense, draws, or a bandit.
 
 Hunger is the weight of reward. On a dial it lies in [0, 1], and curiosity has the rest.
 """
@@ -11,8 +11,10 @@ from typing import Any
 
 import numpy as np
 import torch
+from numpy.typing import ArrayLike
 
 from deep_curiosity.schedules import Schedule
+from deep_curiosity.training.collection import Info
 from deep_curiosity.training.settings import Settings
 
 DRAWN_HUNGERS = (0.0, 0.5, 1.0, 1.0)  # one episode of four is purely curious, two are greedy
@@ -22,20 +24,25 @@ BANDIT_SEGMENT = 250  # environment steps for which an arm is held
 BANDIT_MEMORY = 40  # segments that an arm is judged by
 BANDIT_BOLDNESS = 0.5  # weight of what is not known of an arm, in units of the range of scores
 
+Sense = Callable[[np.ndarray, Info], ArrayLike]
+"""Observations `(num_envs, observation_dim)`, and the info that came with them, to hunger: one
+number or `(num_envs,)`."""
+
 
 class Keeper(abc.ABC):
     """Says how hungry the agent is in each world before a step, and sees what came of it."""
 
     @abc.abstractmethod
-    def hunger(self, step: int, observation: np.ndarray) -> np.ndarray:
+    def hunger(self, step: int, observation: np.ndarray, info: Info) -> np.ndarray:
         """Hunger in each world, `(num_envs,)`.
 
         Args:
             step: Environment steps taken so far.
             observation: `(num_envs, observation_dim)`.
+            info: What the worlds say with the observation.
         """
 
-    def in_evaluation(self, observation: np.ndarray) -> np.ndarray:
+    def in_evaluation(self, observation: np.ndarray, info: Info) -> np.ndarray:
         """Hunger while the agent is evaluated: by default all for reward."""
         return np.ones(len(observation))
 
@@ -60,38 +67,74 @@ class Scheduled(Keeper):
     def __init__(self, schedule: Callable[[int], float]) -> None:
         self.schedule = schedule
 
-    def hunger(self, step: int, observation: np.ndarray) -> np.ndarray:
+    def hunger(self, step: int, observation: np.ndarray, info: Info) -> np.ndarray:
         """Hunger of this step, once for each world."""
         return np.full(len(observation), self.schedule(step))
 
 
-class Battery(Keeper):
+class Sensed(Keeper):
+    """Hunger that is a function of what is seen or told, in training as in evaluations.
+
+    Args:
+        sense: From observations and infos to hunger.
+        highest: Largest hunger there is, 1 on a dial.
+    """
+
+    def __init__(self, sense: Sense, highest: float) -> None:
+        self.sense = sense
+        self.highest = highest
+
+    def hunger(self, step: int, observation: np.ndarray, info: Info) -> np.ndarray:
+        """What is sensed."""
+        return self.in_evaluation(observation, info)
+
+    def in_evaluation(self, observation: np.ndarray, info: Info) -> np.ndarray:
+        """What is sensed.
+
+        Raises:
+            ValueError: If it is not one hunger, or one for each world, that there is.
+        """
+        hunger = np.asarray(self.sense(observation, info), dtype=float)
+        if hunger.shape not in ((), (len(observation),)):
+            raise ValueError(
+                f"`hunger` must return one number or {len(observation)}, got {hunger.shape}."
+            )
+        if not ((hunger >= 0) & (hunger <= self.highest) & np.isfinite(hunger)).all():
+            raise ValueError(
+                f"`hunger` must return finite numbers in [0, {self.highest:g}], got {hunger}."
+            )
+        return np.full(len(observation), hunger)
+
+
+def battery_sense(entry: int | str, observation_dim: int) -> Sense:
     """The emptier the battery, the hungrier: the paper's own example, in its section 3.
 
     Hunger is full at half a charge: the way back must be gone on the other half.
 
     Args:
-        entry: Of the observation, the charge from 0 to 1.
+        entry: Of the observation, or of `info`, that holds the charge from 0 to 1.
         observation_dim: Length of an observation.
 
     Raises:
-        ValueError: If an observation has no such entry.
+        ValueError: If an observation has no such entry; once it is used, if an `info` has not.
     """
+    if isinstance(entry, int) and not -observation_dim <= entry < observation_dim:
+        raise ValueError(
+            f"`battery` must be an entry of an observation of {observation_dim}, got {entry}."
+        )
 
-    def __init__(self, entry: int, observation_dim: int) -> None:
-        if not -observation_dim <= entry < observation_dim:
+    def sense(observation: np.ndarray, info: Info) -> np.ndarray:
+        if isinstance(entry, int):
+            charge = observation[:, entry]
+        elif entry in info:
+            charge = np.atleast_1d(info[entry])
+        else:
             raise ValueError(
-                f"`battery` must be an entry of an observation of {observation_dim}, got {entry}."
+                f"`battery` must be told by every info, {sorted(info)}, got {entry!r}."
             )
-        self.entry = entry
+        return np.clip((1.0 - charge) / LACK_OF_HUNGRY, 0.0, 1.0)
 
-    def hunger(self, step: int, observation: np.ndarray) -> np.ndarray:
-        """What the charge lacks of full, in halves."""
-        return self.in_evaluation(observation)
-
-    def in_evaluation(self, observation: np.ndarray) -> np.ndarray:
-        """The battery says it also here."""
-        return np.clip((1.0 - observation[:, self.entry]) / LACK_OF_HUNGRY, 0.0, 1.0)
+    return sense
 
 
 class Drawn(Keeper):
@@ -106,7 +149,7 @@ class Drawn(Keeper):
         self.hungers = hungers
         self._held = np.array([self._draw() for _ in range(num_envs)])
 
-    def hunger(self, step: int, observation: np.ndarray) -> np.ndarray:
+    def hunger(self, step: int, observation: np.ndarray, info: Info) -> np.ndarray:
         """What was drawn for the episode in each world."""
         return self._held
 
@@ -160,7 +203,7 @@ class Bandit(Keeper):
         self._num_steps, self._reward = 0, 0.0
         self._arm = self._choose()
 
-    def hunger(self, step: int, observation: np.ndarray) -> np.ndarray:
+    def hunger(self, step: int, observation: np.ndarray, info: Info) -> np.ndarray:
         """The arm that is held, in all worlds."""
         return np.full(len(observation), self.hungers[self._arm])
 
@@ -204,12 +247,26 @@ class Bandit(Keeper):
         return mean + self.boldness * math.sqrt(math.log(len(everything)) / len(scores))
 
 
-def make_keeper(settings: Settings, observation_dim: int) -> Keeper:
+def make_keeper(settings: Settings, observation_dim: int, sense: Sense | None = None) -> Keeper:
     """Who says how hungry the agent of a run is.
 
+    Args:
+        settings: Of the run.
+        observation_dim: Length of an observation.
+        sense: The caller's own, where the settings leave the hunger where it is.
+
     Raises:
-        ValueError: If the battery is to be read where the observation has no entry.
+        ValueError: If the battery is to be read where the observation has no entry, or the caller
+            and the settings both say how hungry the agent is.
     """
+    highest = 1.0 if settings.has_dial else math.inf
+    if sense is not None:
+        if settings.hunger_control not in ("constant", "dial"):
+            raise ValueError(
+                "`hunger_control` must be 'constant' or 'dial' where `hunger` is given, "
+                f"got {settings.hunger_control!r}."
+            )
+        return Sensed(sense, highest)
     match settings.hunger_control:
         case "constant" | "dial":
             return Scheduled(lambda step: settings.hunger)
@@ -218,7 +275,7 @@ def make_keeper(settings: Settings, observation_dim: int) -> Keeper:
         case "bandit":
             return Bandit()
         case "battery":
-            return Battery(settings.battery, observation_dim)
+            return Sensed(battery_sense(settings.battery, observation_dim), highest)
         case shape:
             return Scheduled(
                 Schedule(settings.hunger, settings.final_hunger, settings.total_steps, shape)

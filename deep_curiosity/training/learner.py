@@ -16,9 +16,9 @@ from deep_curiosity.curiosity import CuriosityBonus
 from deep_curiosity.replay import ReplayBuffer
 from deep_curiosity.rivals import ConstantBonus
 from deep_curiosity.schedules import Schedule
-from deep_curiosity.training.collection import EnvironmentStep, EnvironmentSteps, as_batch
+from deep_curiosity.training.collection import EnvironmentStep, EnvironmentSteps, Info, as_batch
 from deep_curiosity.training.exploration import NOISES, Noise
-from deep_curiosity.training.hunger import make_keeper
+from deep_curiosity.training.hunger import Sense, make_keeper
 from deep_curiosity.training.machine import should_compile
 from deep_curiosity.training.settings import Settings
 from deep_curiosity.transitions import Sequences, Transition, first_of
@@ -33,11 +33,18 @@ class Learner:
         settings: Of the run.
         observation_dim: Length of an observation.
         action_dim: Length of an action.
+        sense: The caller's own sense of hunger.
     """
 
-    def __init__(self, settings: Settings, observation_dim: int, action_dim: int) -> None:
+    def __init__(
+        self,
+        settings: Settings,
+        observation_dim: int,
+        action_dim: int,
+        sense: Sense | None = None,
+    ) -> None:
         self.settings = settings
-        self.keeper = make_keeper(settings, observation_dim)
+        self.keeper = make_keeper(settings, observation_dim, sense)
         self.agent = make_agent(settings, observation_dim, action_dim)
         self.bonus = make_run_bonus(settings, observation_dim, action_dim)
         self.noise = (
@@ -76,14 +83,15 @@ class Learner:
                 fall_back=settings.compile == "auto",
             )
 
-    def turn(self, step: int, observation: np.ndarray) -> None:
+    def turn(self, step: int, observation: np.ndarray, info: Info) -> None:
         """Set what goes with time, or with what is seen, before a step is taken.
 
         Args:
             step: Environment steps taken so far.
             observation: `(observation_dim,)`, or `(num_envs, observation_dim)`.
+            info: What the worlds say with it.
         """
-        hunger = self.keeper.hunger(step, np.atleast_2d(observation))
+        hunger = self.keeper.hunger(step, np.atleast_2d(observation), info)
         self._hunger = torch.as_tensor(hunger, dtype=torch.float32)
         self.agent.hunger = float(hunger.mean())
         if self._temperature is not None:
@@ -123,10 +131,10 @@ class Learner:
         drawn = noise.draw(hidden).to(hidden.device)
         return torch.tanh(self.agent.policy.at(hidden).pre_actions(drawn.unsqueeze(0)))[0]
 
-    def act_deterministically(self, observation: Tensor) -> Tensor:
+    def act_deterministically(self, observation: Tensor, info: Info) -> Tensor:
         """Centre of the policy at each observation, at the hunger of an evaluation."""
         hunger = torch.as_tensor(
-            self.keeper.in_evaluation(observation.numpy()), dtype=torch.float32
+            self.keeper.in_evaluation(observation.numpy(), info), dtype=torch.float32
         )
         return self.agent.act(
             observation.to(self.settings.device),

@@ -6,19 +6,26 @@ from typing import Any
 from torch import Tensor
 from tqdm import tqdm
 
+from deep_curiosity.training.hunger import Sense
 from deep_curiosity.training.interruption import catch_interruption
 from deep_curiosity.training.pictures import draw_run
 from deep_curiosity.training.run import open_run
 from deep_curiosity.training.settings import Settings
 
 
-def train(settings: Settings, *, show_progress: bool = True) -> dict[str, Any]:
+def train(
+    settings: Settings, *, hunger: Sense | None = None, show_progress: bool = True
+) -> dict[str, Any]:
     """Train an agent, or continue a run, and leave its records in a folder.
 
     Ctrl-C ends the run after the step in progress, with a checkpoint to continue from.
 
     Args:
         settings: Of the run.
+        hunger: Says how hungry the agent is before every step, in training as in evaluations: from
+            the observations, `(num_envs, observation_dim)`, and the `info` that came with them, to
+            one number, or one for each world; in [0, 1] where `hunger_control` is `"dial"`. A
+            resumed run must be given it again.
         show_progress: Show a bar with return, bonus in nats and steps per second.
 
     Returns:
@@ -30,7 +37,7 @@ def train(settings: Settings, *, show_progress: bool = True) -> dict[str, Any]:
         ValueError: If the environment or a setting is not one the agent can take.
     """
     # 1. Initialise policy, values, model and replay, or restore them
-    with open_run(settings) as run, catch_interruption() as interruption:
+    with open_run(settings, hunger) as run, catch_interruption() as interruption:
         settings, history = run.settings, run.history
         learner, collector = run.learner, run.collector
         bar = tqdm(total=settings.total_steps, initial=history.step, disable=not show_progress)
@@ -41,7 +48,7 @@ def train(settings: Settings, *, show_progress: bool = True) -> dict[str, Any]:
         while not run.finished and not interruption.requested:
             step_started = time.perf_counter()
             learning = history.step >= settings.learning_starts
-            learner.turn(history.step, collector.observation)
+            learner.turn(history.step, collector.observation, collector.present_info)
             history.step += settings.num_envs
 
             # (d) Choose an action, obtain reward and next state; both are kept as they are

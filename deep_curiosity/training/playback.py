@@ -1,6 +1,5 @@
 """Playing a trained agent back: its weights from a checkpoint, its episodes as video."""
 
-from collections.abc import Callable
 from pathlib import Path
 
 import gymnasium
@@ -12,13 +11,11 @@ from torch import Tensor
 
 from deep_curiosity.agent import CuriousActorCritic
 from deep_curiosity.training.checkpoint import load_checkpoint
-from deep_curiosity.training.collection import Collector, Episode, as_batch
+from deep_curiosity.training.collection import Collector, Episode, Info, Policy, as_batch
 from deep_curiosity.training.environments import action_dim, observation_dim
 from deep_curiosity.training.hunger import make_keeper
 from deep_curiosity.training.learner import make_agent
 from deep_curiosity.training.settings import Settings
-
-Policy = Callable[[Tensor], Tensor]  # (batch, observation_dim) to (batch, action_dim)
 
 
 def load_agent(folder: Path, settings: Settings, environment: gymnasium.Env) -> CuriousActorCritic:
@@ -57,10 +54,11 @@ def load_policy(
     if hunger is not None:
         agent.hunger = hunger
 
-    def act(observation: Tensor) -> Tensor:
+    def act(observation: Tensor, info: Info) -> Tensor:
         if hunger is not None:
             return agent.act(observation, deterministic=True)
-        told = torch.as_tensor(keeper.in_evaluation(observation.numpy()), dtype=torch.float32)
+        sensed = keeper.in_evaluation(observation.numpy(), info)
+        told = torch.as_tensor(sensed, dtype=torch.float32)
         return agent.act(observation, deterministic=True, hunger=told)
 
     return act
@@ -80,7 +78,7 @@ def record_episode(
     frames = [_frame(environment)]
     finished: list[Episode] = []
     while not finished:
-        action = act(as_batch(collector.observation))[0].numpy()
+        action = act(as_batch(collector.observation), collector.present_info)[0].numpy()
         _, finished = collector.step(action)
         if not finished:
             frames.append(_frame(environment))

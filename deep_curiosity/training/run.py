@@ -25,6 +25,7 @@ from deep_curiosity.training.environments import (
     observation_dim,
 )
 from deep_curiosity.training.history import History, mean_return, success_rate
+from deep_curiosity.training.hunger import Sense
 from deep_curiosity.training.learner import Learner
 from deep_curiosity.training.machine import prepare_machine
 from deep_curiosity.training.records import (
@@ -140,8 +141,12 @@ class Run:
 
 
 @contextmanager
-def open_run(settings: Settings) -> Iterator[Run]:
+def open_run(settings: Settings, sense: Sense | None = None) -> Iterator[Run]:
     """Begin a run, or continue the one in `settings.resume`; close it however it ends.
+
+    Args:
+        settings: Of the run.
+        sense: The caller's own sense of hunger.
 
     Raises:
         FileExistsError: If `out` already holds a run.
@@ -158,7 +163,10 @@ def open_run(settings: Settings) -> Iterator[Run]:
         settings.env_id, settings.env_kwargs, history=settings.history
     )
     learner = Learner(
-        settings, observation_dim(evaluation_environment), action_dim(evaluation_environment)
+        settings,
+        observation_dim(evaluation_environment),
+        action_dim(evaluation_environment),
+        sense,
     )
     collector = make_collector(settings)
     if resuming:

@@ -74,11 +74,11 @@ class Settings:
     ] = "constant"
     """Who says how hungry the agent is: it stays; it goes to final_hunger; or policy and critics
     are told it and learn every hunger from 0 to 1 at once, where it is held, drawn for each
-    episode, chosen by a bandit for what it earns, or read off a battery in the observation."""
+    episode, chosen by a bandit for what it earns, or read off a battery."""
     final_hunger: float = 10.0
     """Hunger at the end of a schedule."""
-    battery: int = -1
-    """Entry of the observation that holds the charge of the battery, from 0 to 1."""
+    battery: int | str = -1
+    """Entry of the observation, or of info, that holds the charge of the battery, from 0 to 1."""
     curiosity_ends: int | None = None
     """Step from which only reward counts; by default none."""
     curiosity_steps: int = 1
@@ -178,7 +178,7 @@ class Settings:
             value = getattr(self, setting.name)
             if (
                 setting.type is int
-                and setting.name not in ("seed", "learning_starts", "battery")
+                and setting.name not in ("seed", "learning_starts")
                 and value < 1
             ):
                 raise ValueError(f"`{setting.name}` must be at least 1, got {value}.")

@@ -9,6 +9,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from deep_curiosity.training.collection import Collector, Episode, VectorCollector, evaluate
+from deep_curiosity.training.environments import make_vector_environment
 
 
 class Counter(gymnasium.Env):
@@ -107,7 +108,7 @@ def test_an_environment_that_does_not_repeat_itself_is_reported():
 def test_evaluation_plays_the_same_whole_episodes_at_every_call():
     seen = []
 
-    def act(observation):
+    def act(observation, info):
         seen.append(observation.item())
         return torch.ones(1, 1)
 
@@ -178,3 +179,16 @@ def test_worlds_that_reset_by_themselves_are_rejected():
     environment = counters(3, mode=AutoresetMode.SAME_STEP)
     with pytest.raises(ValueError, match="`environment` must have its autoreset disabled, got"):
         VectorCollector(environment, seed=0)
+
+
+@pytest.mark.parametrize("vectorization", ["native", "sync"])
+def test_what_the_worlds_say_now_belongs_to_the_observation_of_now(vectorization):
+    worlds = make_vector_environment("BatteryRover", {}, num_envs=3, vectorization=vectorization)
+    collector = VectorCollector(worlds, seed=0)
+    pushes = np.array([[0.1, 0.1], [0.5, 0.5], [1.0, 1.0]])
+    ended = 0
+    for _ in range(250):
+        ended += len(collector.step(pushes)[1])
+        assert collector.present_info["energy"] == pytest.approx(collector.observation[:, -1])
+    assert ended >= 3
+    worlds.close()

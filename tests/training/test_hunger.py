@@ -1,3 +1,4 @@
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -7,9 +8,10 @@ import torch
 from deep_curiosity.training import Settings, train
 from deep_curiosity.training.checkpoint import load_checkpoint
 from deep_curiosity.training.environments import make_environment
-from deep_curiosity.training.hunger import Bandit, Battery, Drawn, Scheduled, make_keeper
+from deep_curiosity.training.hunger import Bandit, Drawn, Scheduled, Sensed, make_keeper
 from deep_curiosity.training.learner import Learner
 from deep_curiosity.training.playback import load_policy
+from deep_curiosity.training.records import read_progress
 
 NOTHING = np.zeros((1, 3))
 GOES_ON = np.array([False])
@@ -19,7 +21,7 @@ def arms_held(bandit, reward_of, num_steps):
     """Hunger at each step of a world that pays what the hunger earns."""
     held = []
     for step in range(num_steps):
-        (hunger,) = bandit.hunger(step, NOTHING)
+        (hunger,) = bandit.hunger(step, NOTHING, {})
         held.append(hunger)
         bandit.saw(np.array([reward_of(hunger)]), GOES_ON)
     return np.array(held)
@@ -65,7 +67,7 @@ def test_draws_are_held_for_an_episode_in_each_world():
     drawn = Drawn(num_envs=2, hungers=(0.0, 0.25, 0.5, 0.75, 1.0))
     courses = []
     for _ in range(60):
-        courses.append(drawn.hunger(0, np.zeros((2, 3))).copy())
+        courses.append(drawn.hunger(0, np.zeros((2, 3)), {}).copy())
         for step in range(5):
             drawn.saw(np.zeros(2), np.array([step == 4, False]))
     courses = np.array(courses)
@@ -74,15 +76,70 @@ def test_draws_are_held_for_an_episode_in_each_world():
 
 
 def test_an_empty_battery_makes_hungry_in_training_and_evaluation():
-    battery = Battery(-1, observation_dim=2)
-    observation = np.array([[5.0, 1.0], [5.0, 0.75], [5.0, 0.5], [5.0, 0.0]])
-    assert battery.hunger(0, observation).tolist() == [0.0, 0.5, 1.0, 1.0]
-    assert battery.in_evaluation(observation).tolist() == [0.0, 0.5, 1.0, 1.0]
+    charge = np.array([1.0, 0.75, 0.5, 0.0])
+    observation, info = np.stack((np.full(4, 5.0), charge), axis=1), {"charge": charge}
+    for entry in (-1, 1, "charge"):
+        keeper = make_keeper(Settings(hunger_control="battery", battery=entry), 2)
+        assert keeper.hunger(0, observation, info).tolist() == [0.0, 0.5, 1.0, 1.0]
+        assert keeper.in_evaluation(observation, info).tolist() == [0.0, 0.5, 1.0, 1.0]
 
 
 def test_a_battery_must_be_in_the_observation():
     with pytest.raises(ValueError, match="`battery` must be an entry of an observation of 3, got"):
         make_keeper(Settings(hunger_control="battery", battery=3), observation_dim=3)
+
+
+def test_a_battery_must_be_in_the_info():
+    keeper = make_keeper(Settings(hunger_control="battery", battery="fuel"), observation_dim=3)
+    with pytest.raises(ValueError, match=r"`battery` .* \['energy'\], got 'fuel'"):
+        keeper.hunger(0, NOTHING, {"energy": 1.0})
+
+
+@pytest.mark.parametrize("control", ["constant", "dial"])
+@pytest.mark.parametrize("num_envs", [1, 2])
+def test_the_caller_may_say_how_hungry_the_agent_is(tiny, control, num_envs):
+    told = []
+
+    def hunger(observation, info):
+        told.append((observation, info["energy"]))
+        return 0.25 + 0.5 * (observation[:, -1] < 0.95)
+
+    settings = replace(
+        tiny, env_id="BatteryRover", env_kwargs={}, hunger_control=control, num_envs=num_envs
+    )
+    train(settings, hunger=hunger, show_progress=False)
+    assert {len(observation) for observation, _ in told} == {1, num_envs}  # 1 in evaluations
+    for observation, energy in told:
+        assert observation[:, -1] == pytest.approx(energy)
+    logged = {float(row["agent/hunger"]) for row in read_progress(settings.out)}
+    assert 0.75 in logged
+
+
+@pytest.mark.parametrize(
+    ("hunger", "message"),
+    [
+        (np.zeros(3), r"`hunger` must return one number or 1, got \(3,\)"),
+        (2.0, r"`hunger` must return finite numbers in \[0, 1\], got 2.0"),
+        (math.nan, r"`hunger` must return finite numbers in \[0, 1\], got nan"),
+    ],
+    ids=["shape", "range", "nan"],
+)
+def test_a_hunger_that_cannot_be_is_named(tiny, hunger, message):
+    settings = replace(tiny, hunger_control="dial")
+    with pytest.raises(ValueError, match=message):
+        train(settings, hunger=lambda observation, info: hunger, show_progress=False)
+
+
+def test_hunger_is_said_by_one_alone(tiny):
+    settings = replace(tiny, hunger_control="bandit")
+    with pytest.raises(ValueError, match=r"`hunger_control` must be .* got 'bandit'"):
+        train(settings, hunger=lambda observation, info: 1.0, show_progress=False)
+    assert not tiny.out.exists()
+
+
+def test_what_is_sensed_is_not_bounded_without_a_dial():
+    sensed = Sensed(lambda observation, info: 7.0, math.inf)
+    assert sensed.hunger(0, NOTHING, {}).tolist() == [7.0]
 
 
 @pytest.mark.parametrize("control", ["linear", "exponential"])
@@ -92,8 +149,8 @@ def test_a_schedule_goes_from_hunger_to_final_hunger(control):
     )
     keeper = make_keeper(settings, 3)
     assert isinstance(keeper, Scheduled)
-    assert keeper.hunger(0, np.zeros((2, 3))).tolist() == [0.5, 0.5]
-    assert keeper.hunger(100, np.zeros((2, 3))) == pytest.approx(8.0)
+    assert keeper.hunger(0, np.zeros((2, 3)), {}).tolist() == [0.5, 0.5]
+    assert keeper.hunger(100, np.zeros((2, 3)), {}) == pytest.approx(8.0)
 
 
 def test_what_goes_with_time_is_set_before_a_step(tiny):
@@ -108,9 +165,9 @@ def test_what_goes_with_time_is_set_before_a_step(tiny):
         total_steps=100,
     )
     learner = Learner(settings, 3, 1)
-    learner.turn(49, np.zeros(3))
+    learner.turn(49, np.zeros(3), {})
     assert learner.agent.curiosity_weight == 1.0
-    learner.turn(50, np.zeros(3))
+    learner.turn(50, np.zeros(3), {})
     assert learner.agent.hunger == pytest.approx(2.0)
     assert learner.agent.temperature == pytest.approx(0.1)
     assert learner.agent.curiosity_weight == 0.0
@@ -131,10 +188,10 @@ def test_the_policy_acts_as_hungry_as_the_dial_says(tiny, num_envs):
     for hunger in (0.0, 1.0):
         object.__setattr__(settings, "hunger", hunger)
         observation = np.zeros(3) if num_envs == 1 else np.zeros((num_envs, 3))
-        learner.turn(0, observation)
+        learner.turn(0, observation, {})
         actions.append(learner.act(observation))
     assert (abs(actions[0] - actions[1]) > 0.5).all()
-    greedy = learner.act_deterministically(torch.zeros(1, 3))
+    greedy = learner.act_deterministically(torch.zeros(1, 3), {})
     assert greedy.item() == pytest.approx(actions[1].flat[0], abs=0.1)
 
 
@@ -179,7 +236,7 @@ def test_a_run_without_a_dial_is_played_at_no_other_hunger(tiny):
     environment = make_environment(tiny.env_id, tiny.env_kwargs)
     with pytest.raises(ValueError, match="`hunger` can only be chosen where the run has a dial"):
         load_policy(tiny.out, tiny, environment, hunger=0.5)
-    action = load_policy(tiny.out, tiny, environment)(torch.zeros(2, 3))
+    action = load_policy(tiny.out, tiny, environment)(torch.zeros(2, 3), {})
     assert action.shape == (2, 1)
     environment.close()
 
