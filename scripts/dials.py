@@ -40,7 +40,6 @@ GRID = (24, 16)  # cells of the pendulum's angle and speed
 
 SMALL = Settings(hidden_dim=64, log_interval=500, evaluation_interval=2_000)
 PENDULUM = replace(SMALL, env_id="PendulumSwingup", env_kwargs={"action_cost": 0.1})
-MAZE = replace(SMALL, env_id="PointMaze", total_steps=16_000)
 CHEETAH = replace(SMALL, env_id="HalfCheetah-v5")
 HALVED = {"update_to_data": 0.5}
 WIDE = {"hidden_dim": 128, "total_steps": 30_000, "evaluation_interval": 1_500}
@@ -222,12 +221,12 @@ DIALS = {
     ),
     "prior": Dial(
         {
-            "PendulumSwingup": replace(PENDULUM, total_steps=16_000),
+            "PendulumSwingup": replace(PENDULUM, total_steps=16_000, **HALVED),
             "MountainCarContinuous-v0": replace(
-                SMALL, env_id="MountainCarContinuous-v0", total_steps=16_000
+                SMALL, env_id="MountainCarContinuous-v0", total_steps=16_000, **HALVED
             ),
-            "ManyMotors": replace(PENDULUM, env_id="ManyMotors", total_steps=16_000),
-            "HalfCheetah-v5": replace(CHEETAH, total_steps=16_000),
+            "ManyMotors": replace(PENDULUM, env_id="ManyMotors", total_steps=16_000, **HALVED),
+            "HalfCheetah-v5": replace(CHEETAH, total_steps=16_000, **HALVED),
         },
         {prior: {"prior": prior} for prior in ("uniform", "learned")},
         measure_area,
@@ -239,13 +238,23 @@ DIALS = {
             "HalfCheetah-v5": replace(CHEETAH, **WIDE),
             "Hopper-v5": replace(SMALL, env_id="Hopper-v5", **WIDE),
         },
-        {"plain": {"bonus": "none"}, "default": {}, "bandit": {"hunger_control": "bandit"}},
+        {
+            "plain": {"bonus": "none"},
+            "default": {},
+            "bandit": {"hunger_control": "bandit"},
+            "weight 0.03": {"bonus_weight": 0.03},
+            "past the end": {"curiosity_episodic": False},
+            "constant bonus": {"bonus": "constant"},
+        },
         measure_area,
         ("area", "return"),
         x="agent",
     ),
     "horizon": Dial(
-        {"PendulumSwingup": replace(PENDULUM, total_steps=16_000), "PointMaze": MAZE},
+        {
+            "PendulumSwingup": replace(PENDULUM, total_steps=16_000, **HALVED),
+            "PointMaze": replace(SMALL, env_id="PointMaze", total_steps=16_000, **HALVED),
+        },
         {discount: {"curiosity_discount": discount} for discount in (0.0, 0.5, 0.9, 0.97, 0.99)},
         measure_return,
         ("return", "mean_training_return", "coverage"),
@@ -275,7 +284,7 @@ class Args:
     uniform or learned prior; plain, default and bandit where reward is dense; how far curiosity
     looks ahead."""
     tasks: tuple[str, ...] = ()
-    """Of those the dial is turned on; all by default."""
+    """Of those the dial is turned on; all by default. The names of the files tell which."""
     seeds: int = 5
     """Runs at each value."""
     runs: Path = Path("runs/dials")
@@ -313,10 +322,11 @@ def main() -> None:
         for row in own
     ]
     args.out.mkdir(parents=True, exist_ok=True)
-    write_table(args.out / f"{args.dial}.csv", list(rows[0]), rows)
+    out = args.out / "-".join((args.dial, *args.tasks))
+    write_table(out.with_suffix(".csv"), list(rows[0]), rows)
     summary = summary_of(dial, rows)
-    (args.out / f"{args.dial}.md").write_text(summary)
-    draw(args.out / f"{args.dial}.png", dial, rows)
+    out.with_suffix(".md").write_text(summary)
+    draw(out.with_suffix(".png"), dial, rows)
     print(summary)
 
 
