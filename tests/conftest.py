@@ -41,4 +41,5 @@ def tiny_settings() -> Settings:
         evaluation_episodes=1,
         checkpoint_interval=25,
         replay_capacity=500,
+        matmul_precision="highest",  # to compare runs, which a clock may not tell apart
     )

@@ -21,8 +21,12 @@ WORTH_COMPILING = 5_000  # updates, after which what compiling took is won back
 TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3  # of glibc's mallopt
 
 
-def prepare_machine(settings: Settings) -> None:
-    """Set threads, matrix precision and allocation for a run, and say so in a line."""
+def prepare_machine(settings: Settings) -> MatmulPrecision:
+    """Set threads, matrix precision and allocation for a run, and say so in a line.
+
+    Returns:
+        The precision, which with `"auto"` is for the clock to choose.
+    """
     torch.set_num_threads(settings.threads)
     keep_freed_memory()
     precision = choose_matmul_precision(settings.matmul_precision, settings.device)
@@ -30,6 +34,7 @@ def prepare_machine(settings: Settings) -> None:
     error = matmul_error(settings.device)
     how = "compiled" if should_compile(settings) else "eager"
     print(f"Matrix products {precision}, relative error {error:.1e}; updates {how}", flush=True)
+    return precision
 
 
 def choose_matmul_precision(asked: str, device: str = "cpu") -> MatmulPrecision:

@@ -157,7 +157,7 @@ def open_run(settings: Settings, sense: Sense | None = None) -> Iterator[Run]:
     resuming = settings.resume is not None
     if settings.resume is not None:
         settings = continued(settings, read_settings(settings.resume))
-    prepare_machine(settings)
+    settings = replace(settings, matmul_precision=prepare_machine(settings))  # kept when resumed
     torch.manual_seed(settings.seed)
     evaluation_environment = make_environment(
         settings.env_id, settings.env_kwargs, history=settings.history

@@ -1,11 +1,12 @@
 import shutil
+from dataclasses import replace
 
 import pytest
 import torch
 
 from deep_curiosity import precision
 from deep_curiosity.precision import FLOAT32_ERROR, matmul_error, matmul_is_float32
-from deep_curiosity.training import Settings, machine
+from deep_curiosity.training import Settings, machine, train
 from deep_curiosity.training.learner import Learner
 from deep_curiosity.training.machine import (
     choose_matmul_precision,
@@ -13,6 +14,7 @@ from deep_curiosity.training.machine import (
     prepare_machine,
     should_compile,
 )
+from deep_curiosity.training.records import read_settings
 
 
 @pytest.fixture(autouse=True)
@@ -48,9 +50,25 @@ def test_products_that_are_not_float32_are_noticed(monkeypatch):
 
 
 def test_a_run_says_what_it_does_with_the_machine(capsys):
-    prepare_machine(Settings(matmul_precision="high", total_steps=100))
+    assert prepare_machine(Settings(matmul_precision="high", total_steps=100)) == "high"
     said = capsys.readouterr().out
     assert said.startswith("Matrix products high, relative error ") and "updates eager" in said
+    assert torch.get_float32_matmul_precision() == "high"
+
+
+def test_a_resumed_run_keeps_the_precision_that_was_fastest_when_it_began(monkeypatch, tiny):
+    fastest = ["high"]
+    monkeypatch.setattr(machine, "matmul_error", lambda device: 0.0)
+    monkeypatch.setattr(
+        machine,
+        "matmul_rate",
+        lambda device: float(torch.get_float32_matmul_precision() == fastest[0]),
+    )
+    train(replace(tiny, matmul_precision="auto"), show_progress=False)
+    assert read_settings(tiny.out).matmul_precision == "high"
+    fastest[0] = "medium"
+    torch.set_float32_matmul_precision("medium")
+    train(Settings(resume=tiny.out, total_steps=70), show_progress=False)
     assert torch.get_float32_matmul_precision() == "high"
 
 
