@@ -19,6 +19,13 @@ def own_random_stream() -> Iterator[None]:
         yield
 
 
+@pytest.fixture(autouse=True)
+def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs leave no picture, which takes as long as the run, unless a test is marked `drawn`."""
+    if "drawn" not in request.keywords:
+        monkeypatch.setattr("deep_curiosity.training.loop.draw_run", lambda folder: None)
+
+
 @pytest.fixture
 def tiny(tiny_settings: Settings, tmp_path: Path) -> Settings:
     return replace(tiny_settings, out=tmp_path / "run")

@@ -2,9 +2,12 @@ import json
 import runpy
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
+
+from deep_curiosity.training import train
 
 ROOT = Path(__file__).parents[1]
 TINY = (
@@ -13,7 +16,14 @@ TINY = (
 ).split()
 
 
+def run_here(monkeypatch, script, *arguments):
+    """Run a script in this process."""
+    monkeypatch.setattr(sys, "argv", [script, *map(str, arguments)])
+    runpy.run_path(str(ROOT / "scripts" / script), run_name="__main__")
+
+
 def run(script, *arguments, **environment):
+    """Run a script in a process of its own."""
     return subprocess.run(
         [sys.executable, ROOT / "scripts" / script, *map(str, arguments)],
         capture_output=True,
@@ -34,22 +44,23 @@ def test_train_resume_and_evaluate(tmp_path):
     assert "deep_curiosity/PointMaze-v0" in evaluated.stdout or "return" in evaluated.stdout
 
 
-def test_a_dial_is_swept(tmp_path):
-    out = tmp_path / "run"
-    options = ("--env-id", "ReacherSparse", *TINY, "--out", out)
-    assert run("train.py", *options, "--hunger-control", "draws").returncode == 0
-    swept = run("evaluate.py", out, "--episodes", 1, "--hunger", 0, 0.5, 1)
-    told = [line.partition(": return")[0].split()[-1] for line in swept.stdout.splitlines()]
-    assert told == ["0", "0.5", "1"]
-    refused = run("evaluate.py", out, "--hunger", 2)
-    assert "error: `hunger` must lie in [0, 1] on a dial, got 2.0" in refused.stderr
+def test_a_dial_is_swept(tiny, monkeypatch, capsys):
+    train(replace(tiny, hunger_control="draws"), show_progress=False)
+    capsys.readouterr()
+    run_here(monkeypatch, "evaluate.py", tiny.out, "--episodes", 1, "--hunger", 0, 0.5, 1)
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.partition(": return")[0].split()[-1] for line in lines] == ["0", "0.5", "1"]
+    with pytest.raises(
+        SystemExit, match=r"error: `hunger` must lie in \[0, 1\] on a dial, got 2.0"
+    ):
+        run_here(monkeypatch, "evaluate.py", tiny.out, "--hunger", 2)
 
 
-def test_a_video_is_written_where_something_renders(tmp_path):
-    out, video = tmp_path / "run", tmp_path / "video.gif"
-    task = "--env-id", "ReacherSparse", "--history", 2
-    assert run("train.py", *task, *TINY, "--out", out).returncode == 0
-    played = run("evaluate.py", out, "--episodes", 1, "--video", video, MUJOCO_GL="egl")
+def test_a_video_is_written_where_something_renders(tiny, tmp_path):
+    video = tmp_path / "video.gif"
+    task = {"env_id": "ReacherSparse", "env_kwargs": {}, "history": 2}
+    train(replace(tiny, **task), show_progress=False)
+    played = run("evaluate.py", tiny.out, "--episodes", 1, "--video", video, MUJOCO_GL="egl")
     if played.returncode:
         assert "error: MuJoCo could not start OpenGL" in played.stderr
         pytest.skip("nothing renders here")
@@ -70,9 +81,8 @@ def test_a_video_is_written_where_something_renders(tmp_path):
 def test_a_mistake_on_the_command_line_is_answered_in_one_line(
     tmp_path, monkeypatch, capsys, arguments, message
 ):
-    monkeypatch.setattr(sys, "argv", ["train.py", *arguments, "--out", str(tmp_path / "run")])
     with pytest.raises(SystemExit) as stopped:
-        runpy.run_path(str(ROOT / "scripts" / "train.py"), run_name="__main__")
+        run_here(monkeypatch, "train.py", *arguments, "--out", tmp_path / "run")
     printed = capsys.readouterr()
     assert stopped.value.code not in (None, 0)
     assert message in f"{stopped.value.code}{printed.err}{printed.out}"
@@ -80,9 +90,8 @@ def test_a_mistake_on_the_command_line_is_answered_in_one_line(
 
 @pytest.mark.parametrize("script", ["train.py", "evaluate.py", "study.py", "dials.py"])
 def test_help_says_what_every_option_is(monkeypatch, capsys, script):
-    monkeypatch.setattr(sys, "argv", [script, "--help"])
     with pytest.raises(SystemExit) as stopped:
-        runpy.run_path(str(ROOT / "scripts" / script), run_name="__main__")
+        run_here(monkeypatch, script, "--help")
     assert stopped.value.code == 0
     assert "Folder" in capsys.readouterr().out
 

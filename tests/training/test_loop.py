@@ -124,22 +124,22 @@ def test_replay_holds_whole_episodes_of_every_world(tiny, vectorization):
         tiny,
         env_id="ReacherSparse",
         env_kwargs={},
-        num_envs=4,
+        num_envs=2,
         vectorization=vectorization,
-        total_steps=420,
-        learning_starts=410,
+        total_steps=210,
+        learning_starts=205,
     )
-    assert train(several, show_progress=False)["total_steps"] == 420
-    state = load_checkpoint(several.out)["learner"]["replay"]["rows"].reshape(105, 4, -1)
+    assert train(several, show_progress=False)["total_steps"] == 210
+    state = load_checkpoint(several.out)["learner"]["replay"]["rows"].reshape(105, 2, -1)
     observation, next_observation = state[..., :10], state[..., 13:23]
     terminated, truncated = state[..., -2], state[..., -1]
     assert not terminated.any()
-    assert truncated.nonzero().tolist() == [[99, world] for world in range(4)]
+    assert truncated.nonzero().tolist() == [[99, world] for world in range(2)]
     follows = (observation[1:] == next_observation[:-1]).all(-1)
     assert torch.equal(~follows, truncated[:-1].bool())
     target = slice(6, 8)  # drawn anew in each episode
     assert torch.equal(
-        next_observation[:100, :, target], observation[:1, :, target].expand(100, 4, 2)
+        next_observation[:100, :, target], observation[:1, :, target].expand(100, 2, 2)
     )
     assert (observation[100, :, target] != observation[99, :, target]).all()
 
@@ -207,6 +207,7 @@ def test_another_seed_gives_another_run(tiny, tmp_path):
     assert rows(tiny.out)[-1] != rows(tmp_path / "other")[-1]
 
 
+@pytest.mark.drawn
 def test_a_run_leaves_its_records(tiny):
     summary = train(tiny, show_progress=False)
     assert summary.keys() >= SUMMARY_KEYS
