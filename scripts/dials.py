@@ -16,6 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
+from deep_curiosity.parts import PARTS
 from deep_curiosity.training import Settings
 from deep_curiosity.training.checkpoint import load_checkpoint
 from deep_curiosity.training.collection import Collector, Episode, as_batch
@@ -43,6 +44,7 @@ PENDULUM = replace(SMALL, env_id="PendulumSwingup", env_kwargs={"action_cost": 0
 CHEETAH = replace(SMALL, env_id="HalfCheetah-v5")
 HALVED = {"update_to_data": 0.5}
 WIDE = {"hidden_dim": 128, "total_steps": 30_000, "evaluation_interval": 1_500}
+NOISY_ROOM = {"NoisyRoom": replace(SMALL, env_id="NoisyRoom", total_steps=16_000, **HALVED)}
 NOISE_CHANNELS = slice(4, 6)  # of NoisyRoom's observation
 EARLY = 4_000  # steps after which cells are counted for the first time
 NOISE_RIVALS = ("curiosity", "rnd", "icm", "nearest-neighbours")
@@ -201,8 +203,40 @@ DIALS = {
         ("return", "coverage"),
         x="hunger",
     ),
+    "alpha": Dial(
+        {"PendulumSwingup": replace(PENDULUM, total_steps=16_000)},
+        {hunger: {"hunger": hunger} for hunger in (0.3, 1.0, 3.0, 10.0)},
+        measure_return,
+        ("return", "mean_training_return"),
+        x="hunger",
+    ),
+    "parts": Dial(
+        NOISY_ROOM,
+        {"D": {}} | {part: {"bonus_parts": {part: 1.0}} for part in PARTS},
+        measure_noise,
+        ("noisy_time", "early_coverage", "coverage"),
+        x="part of D",
+    ),
+    "marginal": Dial(
+        {"PointMaze": replace(SMALL, env_id="PointMaze", total_steps=16_000, **HALVED)},
+        {
+            "default": {},
+            "newest 2000": {"marginal_horizon": 2_000},
+            "half-life 2000": {
+                "marginal_horizon": 2_000,
+                "marginal_forgetting": "exponential",
+            },
+            "bandwidth 0.1": {"bandwidth": 0.1},
+            "perplexity": {"bandwidth": "perplexity"},
+            "robust": {"whitening": "robust"},
+            "position": {"features": (0, 1)},
+        },
+        measure_return,
+        ("coverage", "return"),
+        x="marginal",
+    ),
     "noise": Dial(
-        {"NoisyRoom": replace(SMALL, env_id="NoisyRoom", total_steps=16_000, **HALVED)},
+        NOISY_ROOM,
         {name: {"bonus": name} for name in (*NOISE_RIVALS, "none")},
         measure_noise,
         ("noisy_time", "early_coverage", "coverage"),
@@ -252,7 +286,7 @@ DIALS = {
     ),
     "horizon": Dial(
         {
-            "PendulumSwingup": replace(PENDULUM, total_steps=16_000, **HALVED),
+            "PendulumSwingup": replace(PENDULUM, total_steps=16_000),
             "PointMaze": replace(SMALL, env_id="PointMaze", total_steps=16_000, **HALVED),
         },
         {discount: {"curiosity_discount": discount} for discount in (0.0, 0.5, 0.9, 0.97, 0.99)},
@@ -278,11 +312,23 @@ DIALS = {
 class Args:
     """Which dial, and where."""
 
-    dial: Literal["rate", "hunger", "battery", "noise", "history", "prior", "default", "horizon"]
+    dial: Literal[
+        "rate",
+        "hunger",
+        "alpha",
+        "battery",
+        "noise",
+        "parts",
+        "marginal",
+        "history",
+        "prior",
+        "default",
+        "horizon",
+    ]
     """Information rate that the temperature holds; hunger of one agent that has learned them all;
-    the same turned by a battery; bonuses beside a source of noise; windows of a hidden state;
-    uniform or learned prior; plain, default and bandit where reward is dense; how far curiosity
-    looks ahead."""
+    agents of one hunger each; a dial turned by a battery; bonuses beside a source of noise; parts
+    of curiosity there; how the marginal is formed; windows of a hidden state; uniform or learned
+    prior; plain, default and bandit where reward is dense; how far curiosity looks ahead."""
     tasks: tuple[str, ...] = ()
     """Of those the dial is turned on; all by default. The names of the files tell which."""
     seeds: int = 5
