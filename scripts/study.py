@@ -67,12 +67,13 @@ STUDIES = {
     "sparse": Study(SPARSE, CURIOSITY | PLAIN, seeds=5),
     "control": Study(SPARSE, {"constant bonus": {"bonus": "constant"}}, seeds=1),
     "savings": Study(
-        SPARSE,
-        {
+        [halved(task, 16_000) for task in SPARSE],
+        CURIOSITY
+        | {
             "curiosity, eager": {"compile": "off"},
             "curiosity, nothing spared": {"member_per_row": False},
         },
-        seeds=5,
+        seeds=8,
     ),
     "bonuses": Study(
         [halved(task, 16_000) for task in (*SPARSE, REACHER, MOUNTAIN_CAR)],
