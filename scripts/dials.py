@@ -395,7 +395,8 @@ def summary_of(dial: Dial, rows: Sequence[Row]) -> str:
     for task in dial.settings:
         for place in _places(dial, rows):
             own = [row for row in rows if row["task"] == task and row[dial.x] == place]
-            spreads = [median_and_range([row[name] for row in own]) for name in dial.columns]
+            values = [[row[name] for row in own] for name in dial.columns]
+            spreads = ["" if np.isnan(each).all() else median_and_range(each) for each in values]
             lines.append([task, f"{place}", *spreads])
     table = "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
     return "\n".join([table, *_rank_correlations(dial, rows)])
@@ -444,6 +445,9 @@ def draw(path: Path, dial: Dial, rows: Sequence[Row]) -> None:
 
 def _draw_panel(axes: Axes, dial: Dial, rows: Sequence[Row], task: str, name: str) -> None:
     own = [row for row in rows if row["task"] == task]
+    if all(np.isnan(row[name]) for row in own):
+        axes.set_axis_off()
+        return
     places = _places(dial, rows)
     named = isinstance(places[0], str)
     axes.plot(places, _medians(dial, rows, task, name), "o" if named else "o-")

@@ -42,6 +42,16 @@ def test_a_dial_is_drawn(tmp_path, name):
     assert (tmp_path / "dial.png").stat().st_size > 1_000
 
 
+def test_what_a_task_does_not_have_is_left_blank():
+    dial = DIALS["DIALS"]["horizon"]
+    rows = rows_of(dial, float)
+    for row in rows:
+        row["coverage"] = row["coverage"] if row["task"] == "PointMaze" else np.nan
+    summary = DIALS["summary_of"](dial, rows)
+    assert "| PendulumSwingup | 0.5 | 1 [0.5, 1.5] | 1 [0.5, 1.5] |  |" in summary
+    assert "| PointMaze | 0.5 | 1 [0.5, 1.5] | 1 [0.5, 1.5] | 1 [0.5, 1.5] |" in summary
+
+
 def test_a_dial_is_turned_on_some_of_its_tasks():
     dial = DIALS["DIALS"]["horizon"]
     assert tuple(DIALS["chosen"](dial, ()).settings) == TASKS
