@@ -38,6 +38,7 @@ figures: setup  ## the studies behind the README, some hours on 2 cores
 	$(BIN)/python scripts/study.py --study mountain_car
 	$(BIN)/python scripts/study.py --study dense
 	$(BIN)/python scripts/study.py --study bonuses
+	$(BIN)/python scripts/study.py --study savings
 	$(BIN)/python scripts/study_stable_baselines3.py
 	$(BIN)/python scripts/study_torchrl.py
 	for dial in noise battery hunger history default horizon "rate --tasks PendulumSwingup"; do \
