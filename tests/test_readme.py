@@ -1,11 +1,12 @@
 import re
-from dataclasses import MISSING, fields
+from dataclasses import MISSING, fields, replace
 from pathlib import Path
 
 import pytest
 import torch
 
-from deep_curiosity.training import Settings
+from deep_curiosity.training import Settings, train
+from deep_curiosity.training.records import read_progress
 
 README = (Path(__file__).parents[1] / "README.md").read_text()
 
@@ -23,15 +24,21 @@ def test_no_option_is_told_that_does_not_exist():
 
 
 def test_every_logged_tag_is_told(tiny):
-    from deep_curiosity.training import train
-    from deep_curiosity.training.records import read_progress
-
     for number, env_id in enumerate(["PointMaze", "PendulumSwingup"]):
         run = Settings(**vars(tiny) | {"env_id": env_id, "env_kwargs": {}, "prior": "learned"})
         run = Settings(**vars(run) | {"out": tiny.out / str(number)})
         train(run, show_progress=False)
         for tag in list(read_progress(run.out)[0])[1:]:
             assert f"`{tag}`" in README
+
+
+def test_the_hunger_of_the_caller_is_followed_as_written(tiny):
+    code = re.search(r"```python\n(from deep_curiosity.training import.*?)```", README, re.S)
+    written = code.group(1).replace("Settings(env_id", "settings_of(env_id")
+    names = {"settings_of": lambda **chosen: replace(tiny, env_kwargs={}, **chosen)}
+    exec(written, names)
+    hungers = [float(row["agent/hunger"]) for row in read_progress(tiny.out)]
+    assert 0 < hungers[0] < hungers[1] < 1  # the battery drains
 
 
 def test_the_five_lines_run_as_written():
