@@ -45,6 +45,7 @@ CHEETAH = replace(SMALL, env_id="HalfCheetah-v5")
 HALVED = {"update_to_data": 0.5}
 WIDE = {"hidden_dim": 128, "total_steps": 30_000, "evaluation_interval": 1_500}
 NOISY_ROOM = {"NoisyRoom": replace(SMALL, env_id="NoisyRoom", total_steps=16_000, **HALVED)}
+MOTORS = replace(PENDULUM, env_id="ManyMotors", total_steps=16_000, **HALVED)
 NOISE_CHANNELS = slice(4, 6)  # of NoisyRoom's observation
 EARLY = 4_000  # steps after which cells are counted for the first time
 NOISE_RIVALS = ("curiosity", "rnd", "icm", "nearest-neighbours")
@@ -259,10 +260,23 @@ DIALS = {
             "MountainCarContinuous-v0": replace(
                 SMALL, env_id="MountainCarContinuous-v0", total_steps=16_000, **HALVED
             ),
-            "ManyMotors": replace(PENDULUM, env_id="ManyMotors", total_steps=16_000, **HALVED),
+            "ManyMotors": MOTORS,
             "HalfCheetah-v5": replace(CHEETAH, total_steps=16_000, **HALVED),
         },
         {prior: {"prior": prior} for prior in ("uniform", "learned")},
+        measure_area,
+        ("area", "return"),
+        x="prior",
+    ),
+    "motors": Dial(
+        {"ManyMotors": MOTORS},
+        {
+            "uniform": {},
+            "learned": {"prior": "learned"},
+            "learned, 4 nats": {"prior": "learned", "target_information_rate": 4.0},
+            "learned, 2 nats": {"prior": "learned", "target_information_rate": 2.0},
+            "learned, fixed price": {"prior": "learned", "temperature_control": "constant"},
+        },
         measure_area,
         ("area", "return"),
         x="prior",
@@ -322,13 +336,14 @@ class Args:
         "marginal",
         "history",
         "prior",
+        "motors",
         "default",
         "horizon",
     ]
     """Information rate that the temperature holds; hunger of one agent that has learned them all;
     agents of one hunger each; a dial turned by a battery; bonuses beside a source of noise; parts
     of curiosity there; how the marginal is formed; windows of a hidden state; uniform or learned
-    prior; plain, default and bandit where reward is dense; how far curiosity looks ahead."""
+    prior; the same, at other rates, where there are many motors; plain, default and bandit where reward is dense; how far curiosity looks ahead."""
     tasks: tuple[str, ...] = ()
     """Of those the dial is turned on; all by default. The names of the files tell which."""
     seeds: int = 5
