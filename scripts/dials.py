@@ -343,7 +343,8 @@ class Args:
     """Information rate that the temperature holds; hunger of one agent that has learned them all;
     agents of one hunger each; a dial turned by a battery; bonuses beside a source of noise; parts
     of curiosity there; how the marginal is formed; windows of a hidden state; uniform or learned
-    prior; the same, at other rates, where there are many motors; plain, default and bandit where reward is dense; how far curiosity looks ahead."""
+    prior; the same at other rates where there are many motors; plain, default and bandit where
+    reward is dense; how far curiosity looks ahead."""
     tasks: tuple[str, ...] = ()
     """Of those the dial is turned on; all by default. The names of the files tell which."""
     seeds: int = 5
