@@ -45,6 +45,12 @@ CHEETAH = replace(SMALL, env_id="HalfCheetah-v5")
 HALVED = {"update_to_data": 0.5}
 WIDE = {"hidden_dim": 128, "total_steps": 30_000, "evaluation_interval": 1_500}
 NOISY_ROOM = {"NoisyRoom": replace(SMALL, env_id="NoisyRoom", total_steps=16_000, **HALVED)}
+HOPPER = replace(SMALL, env_id="Hopper-v5", **WIDE)
+DENSE_AGENTS = {
+    "plain": {"bonus": "none"},
+    "default": {},
+    "bandit": {"hunger_control": "bandit"},
+}
 MOTORS = replace(PENDULUM, env_id="ManyMotors", total_steps=16_000, **HALVED)
 NOISE_CHANNELS = slice(4, 6)  # of NoisyRoom's observation
 EARLY = 4_000  # steps after which cells are counted for the first time
@@ -284,12 +290,17 @@ DIALS = {
     "default": Dial(
         {
             "HalfCheetah-v5": replace(CHEETAH, **WIDE),
-            "Hopper-v5": replace(SMALL, env_id="Hopper-v5", **WIDE),
+            "Hopper-v5": HOPPER,
         },
-        {
-            "plain": {"bonus": "none"},
-            "default": {},
-            "bandit": {"hunger_control": "bandit"},
+        DENSE_AGENTS,
+        measure_area,
+        ("area", "return"),
+        x="agent",
+    ),
+    "hopper": Dial(
+        {"Hopper-v5": HOPPER},
+        DENSE_AGENTS
+        | {
             "weight 0.03": {"bonus_weight": 0.03},
             "past the end": {"curiosity_episodic": False},
             "constant bonus": {"bonus": "constant"},
@@ -338,13 +349,14 @@ class Args:
         "prior",
         "motors",
         "default",
+        "hopper",
         "horizon",
     ]
     """Information rate that the temperature holds; hunger of one agent that has learned them all;
     agents of one hunger each; a dial turned by a battery; bonuses beside a source of noise; parts
     of curiosity there; how the marginal is formed; windows of a hidden state; uniform or learned
     prior; the same at other rates where there are many motors; plain, default and bandit where
-    reward is dense; how far curiosity looks ahead."""
+    reward is dense; what else was tried on Hopper-v5; how far curiosity looks ahead."""
     tasks: tuple[str, ...] = ()
     """Of those the dial is turned on; all by default. The names of the files tell which."""
     seeds: int = 5
