@@ -26,6 +26,7 @@ from deep_curiosity.training.records import read_progress
 from deep_curiosity.training.study import (
     EVALUATION_TAG,
     median_and_range,
+    placed,
     run_once,
     write_table,
 )
@@ -362,7 +363,7 @@ class Args:
     seeds: int = 5
     """Runs at each value."""
     runs: Path = Path("runs/dials")
-    """Folder for the runs; finished ones there are not run again."""
+    """Folder for the runs; finished ones there are not run again, whichever dial they were for."""
     out: Path = Path("docs/dials")
     """Folder for table, summary and picture."""
     workers: int = 2
@@ -389,7 +390,7 @@ def main() -> None:
         for task, place, seed in cells
     ]
     with ProcessPoolExecutor(args.workers, mp_context=get_context("spawn")) as pool:
-        measured = list(pool.map(dial.measure, jobs))
+        measured = list(pool.map(dial.measure, placed(jobs, args.runs)))
     rows = [
         {"task": task, dial.x: place, "seed": seed} | row
         for (task, place, seed), own in zip(cells, measured, strict=True)

@@ -14,6 +14,7 @@ from deep_curiosity.training.settings import Settings
 CONFIG = "config.json"
 PROGRESS = "progress.csv"
 SUMMARY = "summary.json"
+NO_MATTER = ("out", "resume", "matmul_precision")  # the last is chosen anew by the clock
 
 
 def open_folder(settings: Settings) -> Path:
@@ -45,6 +46,15 @@ def read_settings(folder: Path) -> Settings:
     values = json.loads(path.read_text())
     features = tuple(values.get("features", ()))  # JSON knows lists alone
     return Settings(**values | {"out": folder, "resume": None, "features": features})
+
+
+def differing(folder: Path, settings: Settings) -> list[str]:
+    """Names of the settings in which the run of a folder is not the same run as these make."""
+    there = json.loads((folder / CONFIG).read_text())
+    here = json.loads(json.dumps(asdict(settings), default=str))
+    names = (there.keys() | here.keys()).difference(NO_MATTER)
+    missing = object()
+    return sorted(name for name in names if there.get(name, missing) != here.get(name, missing))
 
 
 def write_json(path: Path, values: Mapping[str, Any]) -> None:

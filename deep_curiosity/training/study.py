@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from deep_curiosity.training.loop import train
-from deep_curiosity.training.records import CONFIG, SUMMARY, read_progress
+from deep_curiosity.training.records import CONFIG, SUMMARY, differing, read_progress
 from deep_curiosity.training.settings import Settings
 
 RESULT_COLUMNS = (
@@ -65,7 +65,8 @@ def run_study(
 ) -> list[dict[str, Any]]:
     """Train every agent on every task with every seed, and write tables, curves and picture.
 
-    A run whose folder holds a summary is not run again; one that was cut off is continued.
+    A run whose folder holds a summary is not run again; one that was cut off is continued. Where a
+    folder holds a run of other settings, a FileExistsError names them.
 
     Args:
         tasks: What is to be learned.
@@ -168,15 +169,35 @@ def _draw_agent(
 
 
 def run_once(settings: Settings) -> dict[str, Any]:
-    """Summary of a run: read where it is finished, continued or begun where it is not."""
+    """Summary of a run: read where it is finished, continued or begun where it is not.
+
+    Raises:
+        FileExistsError: If the folder holds a run of other settings.
+    """
+    if not (settings.out / CONFIG).exists():
+        return train(settings, show_progress=False)
+    others = [name for name in differing(settings.out, settings) if name != "total_steps"]
+    if others:
+        raise FileExistsError(
+            f"`out` must hold no run of other settings, got {settings.out}, which differs in "
+            f"{', '.join(others)}; move it away or choose another folder."
+        )
     path = settings.out / SUMMARY
     if path.exists():
         summary: dict[str, Any] = json.loads(path.read_text())
         if summary["total_steps"] >= settings.total_steps:
             return summary
-    if (settings.out / CONFIG).exists():
-        return train(replace(settings, resume=settings.out), show_progress=False)
-    return train(settings, show_progress=False)
+    return train(replace(settings, resume=settings.out), show_progress=False)
+
+
+def placed(jobs: Sequence[Settings], runs: Path) -> list[Settings]:
+    """The same jobs, those that lie somewhere below a folder already in their places there."""
+    folders = sorted(path.parent for path in runs.rglob(CONFIG))
+
+    def place(job: Settings) -> Path:
+        return next((folder for folder in folders if not differing(folder, job)), job.out)
+
+    return [replace(job, out=place(job)) for job in jobs]
 
 
 def _only(values: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:

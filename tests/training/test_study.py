@@ -4,7 +4,14 @@ from dataclasses import replace
 import pytest
 
 from deep_curiosity.training import study
-from deep_curiosity.training.study import Task, median_and_range, run_study
+from deep_curiosity.training.records import open_folder
+from deep_curiosity.training.study import (
+    Task,
+    median_and_range,
+    placed,
+    run_once,
+    run_study,
+)
 
 
 def test_a_study_leaves_table_curves_and_picture_and_repeats_no_run(tiny, tmp_path, monkeypatch):
@@ -45,3 +52,19 @@ def test_a_run_counts_as_solved_from_the_return_named(tiny, tmp_path):
     task = Task("pendulum", replace(tiny, total_steps=40), 1.0)
     arguments = {"seeds": (0,), "runs": tmp_path / "runs", "out": tmp_path / "out", "workers": 1}
     assert run_study([task], {"none": {"bonus": "none"}}, **arguments)[0]["solved"] == 0
+
+
+def test_a_folder_with_a_run_of_other_settings_is_refused(tiny):
+    run_once(replace(tiny, total_steps=30))
+    with pytest.raises(FileExistsError, match="differs in batch_size, members; move it away"):
+        run_once(replace(tiny, batch_size=16, members=3))
+    assert run_once(replace(tiny, total_steps=40))["total_steps"] == 40  # the same run, continued
+
+
+def test_a_job_goes_where_a_run_of_its_settings_lies(tiny, tmp_path):
+    there = replace(tiny, env_id="PointMaze", out=tmp_path / "runs" / "some dial")
+    open_folder(replace(there, matmul_precision="high"))
+    jobs = [replace(there, seed=seed, out=tmp_path / "runs" / f"{seed}") for seed in range(2)]
+    same, other = placed(jobs, tmp_path / "runs")
+    assert same.out == there.out
+    assert other == jobs[1]
