@@ -41,7 +41,8 @@ figures: setup  ## the studies behind the README, some hours on 2 cores
 	$(BIN)/python scripts/study.py --study savings
 	$(BIN)/python scripts/study_stable_baselines3.py
 	$(BIN)/python scripts/study_torchrl.py
-	for dial in noise parts battery hunger alpha history default hopper horizon prior motors \
+	for dial in noise parts battery hunger alpha history default hopper \
+			"ends --seeds 10" horizon prior motors marginal \
 			"rate --tasks PendulumSwingup" "rate --tasks HalfCheetah-v5"; do \
 		$(BIN)/python scripts/dials.py --dial $$dial || exit 1; done
 

@@ -47,6 +47,7 @@ HALVED = {"update_to_data": 0.5}
 WIDE = {"hidden_dim": 128, "total_steps": 30_000, "evaluation_interval": 1_500}
 NOISY_ROOM = {"NoisyRoom": replace(SMALL, env_id="NoisyRoom", total_steps=16_000, **HALVED)}
 HOPPER = replace(SMALL, env_id="Hopper-v5", **WIDE)
+PAST_THE_END = {"curiosity_episodic": False}
 DENSE_AGENTS = {
     "plain": {"bonus": "none"},
     "default": {},
@@ -303,9 +304,16 @@ DIALS = {
         DENSE_AGENTS
         | {
             "weight 0.03": {"bonus_weight": 0.03},
-            "past the end": {"curiosity_episodic": False},
+            "past the end": PAST_THE_END,
             "constant bonus": {"bonus": "constant"},
         },
+        measure_area,
+        ("area", "return"),
+        x="agent",
+    ),
+    "ends": Dial(
+        {"Hopper-v5": HOPPER},
+        {"plain": {"bonus": "none"}, "default": {}, "past the end": PAST_THE_END},
         measure_area,
         ("area", "return"),
         x="agent",
@@ -351,13 +359,15 @@ class Args:
         "motors",
         "default",
         "hopper",
+        "ends",
         "horizon",
     ]
     """Information rate that the temperature holds; hunger of one agent that has learned them all;
     agents of one hunger each; a dial turned by a battery; bonuses beside a source of noise; parts
     of curiosity there; how the marginal is formed; windows of a hidden state; uniform or learned
     prior; the same at other rates where there are many motors; plain, default and bandit where
-    reward is dense; what else was tried on Hopper-v5; how far curiosity looks ahead."""
+    reward is dense; what else was tried on Hopper-v5; curiosity that looks past the end of the
+    world, or does not; how far it looks ahead."""
     tasks: tuple[str, ...] = ()
     """Of those the dial is turned on; all by default. The names of the files tell which."""
     seeds: int = 5

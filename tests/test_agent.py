@@ -795,9 +795,15 @@ def test_sequences_of_one_step_teach_what_transitions_teach():
         torch.testing.assert_close(one, same)
 
 
-def test_each_value_sums_as_many_steps_as_are_its_own():
+@pytest.mark.parametrize("episodic", [True, False])
+def test_each_value_sums_as_many_steps_as_are_its_own(episodic):
     agent = small_agent(
-        reward_steps=3, curiosity_steps=2, discount=0.5, curiosity_discount=0.1, prior="learned"
+        reward_steps=3,
+        curiosity_steps=2,
+        curiosity_episodic=episodic,
+        discount=0.5,
+        curiosity_discount=0.1,
+        prior="learned",
     )
     let_answer(agent.target_critics, 8.0, 1000.0)
     sequences = random_sequences(3)
@@ -805,13 +811,13 @@ def test_each_value_sums_as_many_steps_as_are_its_own():
     reward = sequences.steps.reward.unflatten(0, (3, 32))
     bonus = sequences.steps.action[:, 0].unflatten(0, (3, 32))
     for row in range(32):
-        for found, earned, discount, longest, ahead in (
-            (value, reward, 0.5, 3, 8.0),
-            (curiosity_value, bonus, 0.1, 2, 1000.0),
+        for found, earned, discount, longest, ahead, ends in (
+            (value, reward, 0.5, 3, 8.0, True),
+            (curiosity_value, bonus, 0.1, 2, 1000.0, episodic),
         ):
             lives = int(sequences.alive[:longest, row].sum())
             expected = sum(discount**k * earned[k, row].item() for k in range(lives))
-            ended = sequences.steps.terminated[(lives - 1) * 32 + row]
+            ended = ends and sequences.steps.terminated[(lives - 1) * 32 + row]
             expected += 0.0 if ended else discount**lives * ahead
             assert found[row].item() == pytest.approx(expected, rel=1e-4)
 
