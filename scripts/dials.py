@@ -55,7 +55,7 @@ DENSE_AGENTS = {
 }
 MOTORS = replace(PENDULUM, env_id="ManyMotors", total_steps=16_000, **HALVED)
 NOISE_CHANNELS = slice(4, 6)  # of NoisyRoom's observation
-EARLY = 4_000  # steps after which cells are counted for the first time
+PHASE = 4_000  # steps at either end of a run, whose cells are counted by themselves
 NOISE_RIVALS = ("curiosity", "rnd", "icm", "nearest-neighbours")
 
 
@@ -129,14 +129,14 @@ def measure_area(settings: Settings) -> list[Row]:
 def measure_noise(settings: Settings) -> list[Row]:
     """Share of cells visited, and time where there is noise, in units of a uniform walk's."""
     summary = run_once(settings)
-    state = load_checkpoint(settings.out)
-    noise = state["learner"]["replay"]["rows"][settings.learning_starts :, NOISE_CHANNELS]
+    rows = load_checkpoint(settings.out)["learner"]["replay"]["rows"]
+    noise = rows[settings.learning_starts :, NOISE_CHANNELS]
     noisy = float((noise != 0).any(-1).double().mean())
-    early = sum(step <= EARLY for step in state["history"]["cells"].values())
     return [
         {
             "noisy_time": noisy / NoisyRoom.noisy_share,
-            "early_coverage": early / NoisyRoom.num_cells,
+            "early_coverage": cell_share(rows[:PHASE]),
+            "late_coverage": cell_share(rows[-PHASE:]),
             "coverage": summary["coverage"],
         },
     ]
@@ -175,15 +175,20 @@ def measure_survival(settings: Settings) -> list[Row]:
     episodes = [Episode(*values) for values in state["history"]["episodes"][-LAST_EPISODES:]]
     steps = sum(episode.length for episode in episodes)
     whole = gymnasium.spec("deep_curiosity/BatteryRover-v0").max_episode_steps
-    position = state["learner"]["replay"]["rows"][-steps:, :2].numpy()
-    cells = np.floor(np.clip((position + 1) / 2, 0, 1 - 1e-6) * CELLS_PER_SIDE).astype(int)
     return [
         {
             "starved": sum(episode.length != whole for episode in episodes),
-            "coverage": len(np.unique(cells, axis=0)) / CELLS_PER_SIDE**2,
+            "coverage": cell_share(state["learner"]["replay"]["rows"][-steps:]),
             "mean_training_return": summary["mean_training_return"],
         }
     ]
+
+
+def cell_share(rows: torch.Tensor) -> float:
+    """Share of a room's cells that rows of replay lie in."""
+    position = rows[:, :2].numpy()
+    cells = np.floor(np.clip((position + 1) / 2, 0, 1 - 1e-6) * CELLS_PER_SIDE).astype(int)
+    return len(np.unique(cells, axis=0)) / CELLS_PER_SIDE**2
 
 
 def pendulum_cell(observation: np.ndarray) -> tuple[int, int]:
@@ -200,7 +205,7 @@ DIALS = {
             "PendulumSwingup": replace(PENDULUM, prior="learned", update_to_data=0.5),
             "HalfCheetah-v5": replace(CHEETAH, prior="learned", update_to_data=0.5),
         },
-        {rate: {"target_information_rate": rate} for rate in (0.5, 1.0, 2.0, 4.0)},
+        {rate: {"target_information_rate": rate} for rate in (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)},
         measure_rate,
         ("rate", "lower", "upper", "return"),
         x="target rate",
@@ -223,7 +228,7 @@ DIALS = {
         NOISY_ROOM,
         {"D": {}} | {part: {"bonus_parts": {part: 1.0}} for part in PARTS},
         measure_noise,
-        ("noisy_time", "early_coverage", "coverage"),
+        ("noisy_time", "early_coverage", "late_coverage", "coverage"),
         x="part of D",
     ),
     "marginal": Dial(
@@ -248,7 +253,7 @@ DIALS = {
         NOISY_ROOM,
         {name: {"bonus": name} for name in (*NOISE_RIVALS, "none")},
         measure_noise,
-        ("noisy_time", "early_coverage", "coverage"),
+        ("noisy_time", "early_coverage", "late_coverage", "coverage"),
         x="bonus",
     ),
     "history": Dial(

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 
 DIALS = runpy.run_path(str(Path(__file__).parents[1] / "scripts" / "dials.py"), run_name="dials")
 TASKS = ("PendulumSwingup", "PointMaze")
@@ -68,3 +69,10 @@ def test_cells_of_the_pendulum_tile_angle_and_speed():
         for speed in np.linspace(-4, 4, 100)
     }
     assert cells == {(angle, speed) for angle in range(24) for speed in range(16)}
+
+
+def test_cells_of_a_room_are_counted_once_each():
+    rows = torch.tensor(
+        [[-1.0, -1.0, 9.0], [-0.81, -0.81, 9.0], [0.01, 1.0, 9.0], [1.0, 1.0, 9.0]]
+    )
+    assert DIALS["cell_share"](rows) == 3 / 100
