@@ -16,9 +16,15 @@ from deep_curiosity.curiosity import CuriosityBonus
 from deep_curiosity.replay import ReplayBuffer
 from deep_curiosity.rivals import ConstantBonus
 from deep_curiosity.schedules import Schedule
-from deep_curiosity.training.collection import EnvironmentStep, EnvironmentSteps, Info, as_batch
+from deep_curiosity.training.collection import (
+    EnvironmentStep,
+    EnvironmentSteps,
+    Info,
+    Policy,
+    as_batch,
+)
 from deep_curiosity.training.exploration import NOISES, Noise
-from deep_curiosity.training.hunger import Sense, make_keeper
+from deep_curiosity.training.hunger import Keeper, Sense, make_keeper
 from deep_curiosity.training.machine import should_compile
 from deep_curiosity.training.settings import Settings
 from deep_curiosity.transitions import Sequences, Transition, first_of
@@ -67,6 +73,7 @@ class Learner:
             seed=settings.seed,
             device=settings.device,
         )
+        self.act_deterministically = evaluation_policy(self.agent, self.keeper, settings.device)
         quick = (
             settings.policy_modes == 1
             and self.agent.log_temperature.device.type == "cpu"
@@ -130,17 +137,6 @@ class Learner:
         hidden = self.agent.policy.hidden(seen)
         drawn = noise.draw(hidden).to(hidden.device)
         return torch.tanh(self.agent.policy.at(hidden).pre_actions(drawn.unsqueeze(0)))[0]
-
-    def act_deterministically(self, observation: Tensor, info: Info) -> Tensor:
-        """Centre of the policy at each observation, at the hunger of an evaluation."""
-        hunger = torch.as_tensor(
-            self.keeper.in_evaluation(observation.numpy(), info), dtype=torch.float32
-        )
-        return self.agent.act(
-            observation.to(self.settings.device),
-            deterministic=True,
-            hunger=hunger.to(self.settings.device),
-        ).cpu()
 
     def store(self, step: EnvironmentStep | EnvironmentSteps) -> None:
         """Keep the step of one world, or of several, in replay."""
@@ -226,6 +222,17 @@ class Learner:
         if torch.device(self.settings.device).type == "cuda":
             state["cuda"] = torch.cuda.get_rng_state(self.settings.device)
         return state
+
+
+def evaluation_policy(agent: CuriousActorCritic, keeper: Keeper, device: str = "cpu") -> Policy:
+    """Centre of the agent's policy, at the hunger of an evaluation."""
+
+    def act(observation: Tensor, info: Info) -> Tensor:
+        sensed = keeper.in_evaluation(observation.numpy(), info)
+        hunger = torch.as_tensor(sensed, dtype=torch.float32, device=device)
+        return agent.act(observation.to(device), deterministic=True, hunger=hunger).cpu()
+
+    return act
 
 
 def make_agent(settings: Settings, observation_dim: int, action_dim: int) -> CuriousActorCritic:

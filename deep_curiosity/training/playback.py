@@ -5,16 +5,14 @@ from pathlib import Path
 import gymnasium
 import imageio.v2 as imageio
 import numpy as np
-import torch
 from numpy.typing import NDArray
-from torch import Tensor
 
 from deep_curiosity.agent import CuriousActorCritic
 from deep_curiosity.training.checkpoint import load_checkpoint
-from deep_curiosity.training.collection import Collector, Episode, Info, Policy, as_batch
+from deep_curiosity.training.collection import Collector, Episode, Policy, as_batch
 from deep_curiosity.training.environments import action_dim, observation_dim
 from deep_curiosity.training.hunger import make_keeper
-from deep_curiosity.training.learner import make_agent
+from deep_curiosity.training.learner import evaluation_policy, make_agent
 from deep_curiosity.training.settings import Settings
 
 
@@ -50,18 +48,10 @@ def load_policy(
             f"bandit or battery), got {hunger} for {settings.hunger_control!r}."
         )
     agent = load_agent(folder, settings, environment)
-    keeper = make_keeper(settings, agent.observation_dim)
-    if hunger is not None:
-        agent.hunger = hunger
-
-    def act(observation: Tensor, info: Info) -> Tensor:
-        if hunger is not None:
-            return agent.act(observation, deterministic=True)
-        sensed = keeper.in_evaluation(observation.numpy(), info)
-        told = torch.as_tensor(sensed, dtype=torch.float32)
-        return agent.act(observation, deterministic=True, hunger=told)
-
-    return act
+    if hunger is None:
+        return evaluation_policy(agent, make_keeper(settings, agent.observation_dim))
+    agent.hunger = hunger
+    return lambda observation, info: agent.act(observation, deterministic=True)
 
 
 def record_episode(
