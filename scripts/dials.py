@@ -38,6 +38,7 @@ Row = dict[str, Any]
 HUNGERS = [tenth / 10 for tenth in range(11)]
 SWEPT_EPISODES = 10
 LAST_EPISODES = 20
+NAMES_TILT = 20  # degrees, so that long names do not run into each other
 GRID = (24, 16)  # cells of the pendulum's angle and speed
 
 SMALL = Settings(hidden_dim=64, log_interval=500, evaluation_interval=2_000)
@@ -500,6 +501,8 @@ def _draw_panel(axes: Axes, dial: Dial, rows: Sequence[Row], task: str, name: st
         axes.plot(places, places, ":", color="grey", label="target")
         axes.legend(fontsize=8)
     axes.set(title=task, xlabel=dial.x, ylabel=name.replace("_", " "))
+    if named:
+        axes.tick_params("x", rotation=NAMES_TILT)
 
 
 if __name__ == "__main__":
