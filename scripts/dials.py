@@ -48,6 +48,7 @@ HALVED = {"update_to_data": 0.5}
 WIDE = {"hidden_dim": 128, "total_steps": 30_000, "evaluation_interval": 1_500}
 NOISY_ROOM = {"NoisyRoom": replace(SMALL, env_id="NoisyRoom", total_steps=16_000, **HALVED)}
 HOPPER = replace(SMALL, env_id="Hopper-v5", **WIDE)
+FADING = {"marginal_horizon": 2_000, "marginal_forgetting": "exponential"}
 PAST_THE_END = {"curiosity_episodic": False}
 DENSE_AGENTS = {
     "plain": {"bonus": "none"},
@@ -57,7 +58,7 @@ DENSE_AGENTS = {
 MOTORS = replace(PENDULUM, env_id="ManyMotors", total_steps=16_000, **HALVED)
 NOISE_CHANNELS = slice(4, 6)  # of NoisyRoom's observation
 PHASE = 4_000  # steps at either end of a run, whose cells are counted by themselves
-NOISE_RIVALS = ("curiosity", "rnd", "icm", "nearest-neighbours")
+NOISE_RIVALS = ("rnd", "icm", "nearest-neighbours", "none")
 
 
 @dataclass(frozen=True)
@@ -237,10 +238,7 @@ DIALS = {
         {
             "default": {},
             "newest 2000": {"marginal_horizon": 2_000},
-            "half-life 2000": {
-                "marginal_horizon": 2_000,
-                "marginal_forgetting": "exponential",
-            },
+            "half-life 2000": FADING,
             "bandwidth 0.1": {"bandwidth": 0.1},
             "perplexity": {"bandwidth": "perplexity"},
             "robust": {"whitening": "robust"},
@@ -252,7 +250,7 @@ DIALS = {
     ),
     "noise": Dial(
         NOISY_ROOM,
-        {name: {"bonus": name} for name in (*NOISE_RIVALS, "none")},
+        {"curiosity": {}, "fading": FADING} | {name: {"bonus": name} for name in NOISE_RIVALS},
         measure_noise,
         ("noisy_time", "early_coverage", "late_coverage", "coverage"),
         x="bonus",
