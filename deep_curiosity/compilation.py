@@ -86,7 +86,10 @@ def _traced(
 def _options(device: str | torch.device) -> dict[str, Any]:
     options: dict[str, Any] = {"fallback_random": True}
     if torch.device(device).type == "cuda":
-        # of torch 2.11: trying other orders of loops, it trips over its own assertion
-        options["loop_ordering_after_fusion"] = False
-        options |= {"triton.cudagraphs": True, "graph_partition": False}
+        options |= {
+            "triton.cudagraphs": True,
+            "graph_partition": False,
+            # torch 2.11 trips over its own assertion where it tries other orders of loops
+            "loop_ordering_after_fusion": False,
+        }
     return options

@@ -50,11 +50,8 @@ NOISY_ROOM = {"NoisyRoom": replace(SMALL, env_id="NoisyRoom", total_steps=16_000
 HOPPER = replace(SMALL, env_id="Hopper-v5", **WIDE)
 FADING = {"marginal_horizon": 2_000, "marginal_forgetting": "exponential"}
 PAST_THE_END = {"curiosity_episodic": False}
-DENSE_AGENTS = {
-    "plain": {"bonus": "none"},
-    "default": {},
-    "bandit": {"hunger_control": "bandit"},
-}
+PLAIN_AND_DEFAULT = {"plain": {"bonus": "none"}, "default": {}}
+DENSE_AGENTS = PLAIN_AND_DEFAULT | {"bandit": {"hunger_control": "bandit"}}
 MOTORS = replace(PENDULUM, env_id="ManyMotors", total_steps=16_000, **HALVED)
 NOISE_CHANNELS = slice(4, 6)  # of NoisyRoom's observation
 PHASE = 4_000  # steps at either end of a run, whose cells are counted by themselves
@@ -317,7 +314,7 @@ DIALS = {
     ),
     "ends": Dial(
         {"Hopper-v5": HOPPER},
-        {"plain": {"bonus": "none"}, "default": {}, "past the end": PAST_THE_END},
+        PLAIN_AND_DEFAULT | {"past the end": PAST_THE_END},
         measure_area,
         ("area", "return"),
         x="agent",

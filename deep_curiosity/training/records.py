@@ -40,21 +40,26 @@ def read_settings(folder: Path) -> Settings:
     Raises:
         FileNotFoundError: If the folder holds no run.
     """
-    path = folder / CONFIG
-    if not path.exists():
+    if not (folder / CONFIG).exists():
         raise FileNotFoundError(f"a run must have a {CONFIG}, got {folder}, which has none.")
-    values = json.loads(path.read_text())
+    values = _read_config(folder)
     features = tuple(values.get("features", ()))  # JSON knows lists alone
     return Settings(**values | {"out": folder, "resume": None, "features": features})
 
 
-def differing(folder: Path, settings: Settings) -> list[str]:
-    """Names of the settings in which the run of a folder is not the same run as these make."""
-    there = json.loads((folder / CONFIG).read_text())
-    here = json.loads(json.dumps(asdict(settings), default=str))
-    names = (there.keys() | here.keys()).difference(NO_MATTER)
-    missing = object()
-    return sorted(name for name in names if there.get(name, missing) != here.get(name, missing))
+def identity(run: Path | Settings) -> dict[str, str]:
+    """What makes a run the one it is, in JSON: settings of one in a folder, or of one to come."""
+    values = asdict(run) if isinstance(run, Settings) else _read_config(run)
+    return {
+        name: json.dumps(value, default=str, sort_keys=True)
+        for name, value in values.items()
+        if name not in NO_MATTER
+    }
+
+
+def _read_config(folder: Path) -> dict[str, Any]:
+    values: dict[str, Any] = json.loads((folder / CONFIG).read_text())
+    return values
 
 
 def write_json(path: Path, values: Mapping[str, Any]) -> None:

@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from deep_curiosity.training.loop import train
-from deep_curiosity.training.records import CONFIG, SUMMARY, differing, read_progress
+from deep_curiosity.training.records import CONFIG, SUMMARY, identity, read_progress
 from deep_curiosity.training.settings import Settings
 
 RESULT_COLUMNS = (
@@ -176,8 +176,9 @@ def run_once(settings: Settings) -> dict[str, Any]:
     """
     if not (settings.out / CONFIG).exists():
         return train(settings, show_progress=False)
-    others = [name for name in differing(settings.out, settings) if name != "total_steps"]
-    if others:
+    there, here = identity(settings.out), identity(settings)
+    differing = {name for name in there.keys() | here.keys() if there.get(name) != here.get(name)}
+    if others := sorted(differing - {"total_steps"}):
         raise FileExistsError(
             f"`out` must hold no run of other settings, got {settings.out}, which differs in "
             f"{', '.join(others)}; move it away or choose another folder."
@@ -192,10 +193,11 @@ def run_once(settings: Settings) -> dict[str, Any]:
 
 def placed(jobs: Sequence[Settings], runs: Path) -> list[Settings]:
     """The same jobs, those that lie somewhere below a folder already in their places there."""
-    folders = sorted(path.parent for path in runs.rglob(CONFIG))
+    lying = [(identity(path.parent), path.parent) for path in sorted(runs.rglob(CONFIG))]
 
     def place(job: Settings) -> Path:
-        return next((folder for folder in folders if not differing(folder, job)), job.out)
+        own = identity(job)
+        return next((folder for other, folder in lying if other == own), job.out)
 
     return [replace(job, out=place(job)) for job in jobs]
 
