@@ -18,10 +18,19 @@ class StackedLinear(nn.Module):
         members: Number of layers stacked along the leading axis.
         in_features: Size of each input.
         out_features: Size of each output.
+        product_dtype: Kind of number in which inputs and weights are multiplied, their own when
+            `None`. Weights, outputs and gradients are kept as they are.
     """
 
-    def __init__(self, members: int, in_features: int, out_features: int) -> None:
+    def __init__(
+        self,
+        members: int,
+        in_features: int,
+        out_features: int,
+        product_dtype: torch.dtype | None = None,
+    ) -> None:
         super().__init__()
+        self.product_dtype = product_dtype
         bound = 1 / math.sqrt(in_features)  # as torch.nn.Linear draws its own
         self.weight = nn.Parameter(
             torch.empty(members, in_features, out_features).uniform_(-bound, bound)
@@ -34,7 +43,9 @@ class StackedLinear(nn.Module):
         """Apply each member's layer to its own batch."""
         if self.weight.shape[-1] == 1:  # a product with one column is dearer than a weighted sum
             return (value * self.weight.mT).sum(-1, keepdim=True) + self.bias
-        return torch.baddbmm(self.bias, value, self.weight)
+        dtype = self.product_dtype or value.dtype
+        product = torch.bmm(value.to(dtype), self.weight.to(dtype))
+        return product.to(value.dtype) + self.bias  # apart from the product, free where compiled
 
 
 class StackedMLP(nn.Module):
@@ -45,15 +56,26 @@ class StackedMLP(nn.Module):
         in_features: Size of each input.
         hidden_dims: Width of every hidden layer.
         out_features: Size of each output.
+        hidden_dtype: Kind of number in which one hidden layer is multiplied into the next, see
+            `StackedLinear`; what comes in and what goes out stays as exact as it is.
     """
 
     def __init__(
-        self, members: int, in_features: int, hidden_dims: Sequence[int], out_features: int
+        self,
+        members: int,
+        in_features: int,
+        hidden_dims: Sequence[int],
+        out_features: int,
+        hidden_dtype: torch.dtype | None = None,
     ) -> None:
         super().__init__()
         widths = [in_features, *hidden_dims, out_features]
+        inner = range(1, len(hidden_dims))
         self.members = members
-        self.layers = nn.ModuleList(StackedLinear(members, *pair) for pair in pairwise(widths))
+        self.layers = nn.ModuleList(
+            StackedLinear(members, *pair, hidden_dtype if number in inner else None)
+            for number, pair in enumerate(pairwise(widths))
+        )
 
     def forward(
         self,

@@ -71,9 +71,10 @@ STUDIES = {
         CURIOSITY
         | {
             "curiosity, eager": {"compile": "off"},
-            "curiosity, nothing spared": {"member_per_row": False},
+            "curiosity, float32 models": {"model_precision": "float32"},
+            "curiosity, nothing spared": {"member_per_row": False, "model_precision": "float32"},
         },
-        seeds=8,
+        seeds=12,
     ),
     "bonuses": Study(
         [halved(task, 16_000) for task in (*SPARSE, REACHER, MOUNTAIN_CAR)],
@@ -109,8 +110,8 @@ class Args:
 
     study: Literal["sparse", "control", "savings", "bonuses", "mountain_car", "dense"] = "sparse"
     """PendulumSwingup and PointMaze; the same with a constant for a bonus; the same without
-    compiling, and without what the default spares; all bonuses, and noises of the actions without
-    one, on four tasks; MountainCarContinuous-v0; HalfCheetah-v5."""
+    compiling, with models in float32, and without what the default spares; all bonuses, and noises
+    of the actions without one, on four tasks; MountainCarContinuous-v0; HalfCheetah-v5."""
     seeds: int | None = None
     """Seeds of each agent on each task; by default as many as the study is documented with."""
     runs: Path = Path("runs/study")
