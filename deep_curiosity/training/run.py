@@ -7,14 +7,15 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields, replace
 from fractions import Fraction
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import gymnasium
+import mujoco
 import torch
 from torch import Tensor
 
+from deep_curiosity import __version__
 from deep_curiosity.training.checkpoint import load_checkpoint, save_checkpoint
 from deep_curiosity.training.collection import Collector, VectorCollector, evaluate
 from deep_curiosity.training.environments import (
@@ -133,7 +134,10 @@ class Run:
             **self.history.summary(num_cells(self.evaluation_environment)),
             "peak_memory_megabytes": peak_memory_megabytes(),
             "versions": {
-                name: version(name) for name in ("deep-curiosity", "torch", "gymnasium", "mujoco")
+                "deep-curiosity": __version__,
+                "torch": torch.__version__,
+                "gymnasium": gymnasium.__version__,
+                "mujoco": mujoco.__version__,
             },
         }
         write_json(settings.out / SUMMARY, summary)

@@ -9,7 +9,13 @@ Example:
     >>> envs = gymnasium.make_vec("deep_curiosity/PendulumSwingup-v0", num_envs=64)
 """
 
+# ruff: noqa: E402, the tasks import what is loaded first
+
 import gymnasium
+
+from deep_curiosity_envs.engine import load_engine
+
+load_engine()
 
 from deep_curiosity_envs.battery_rover import BatteryRover
 from deep_curiosity_envs.cartpole import CartpoleSwingup

@@ -237,7 +237,7 @@ def count_physics_steps(control_step: float, physics_step: float) -> int:
     return num_steps
 
 
-def make_renderer(model: mujoco.MjModel) -> mujoco.Renderer:
+def make_renderer(model: mujoco.MjModel) -> "mujoco.Renderer":  # which may be missing
     """Offscreen renderer of a model.
 
     Raises:

@@ -36,6 +36,23 @@ import mujoco
 mujoco.Renderer(mujoco.MjModel.from_xml_string("<mujoco/>"), 8, 8).render()
 """
 
+WITHOUT_RENDERER = """
+import sys, warnings
+sys.path.insert(0, {!r})
+with warnings.catch_warnings(record=True) as caught:
+    warnings.simplefilter("always", UserWarning)
+    import deep_curiosity_envs
+print(*(warning.message for warning in caught if "MUJOCO_GL" in str(warning.message)))
+import gymnasium
+env = gymnasium.make("deep_curiosity/PendulumSwingup-v0", render_mode="rgb_array")
+env.reset(seed=0)
+env.step(env.action_space.high)
+try:
+    env.render()
+except RuntimeError as error:
+    print(error)
+"""
+
 RENDER_ALL = """
 import gymnasium
 from deep_curiosity_envs import TASK_IDS
@@ -227,6 +244,22 @@ def test_render_without_opengl_says_what_to_set(task_id, monkeypatch):
     with pytest.raises(RuntimeError, match="MUJOCO_GL=egl"):
         env.render()
     env.close()
+
+
+@pytest.mark.parametrize("backend", ["egl", "osmesa"])
+@pytest.mark.parametrize("error", ["ImportError", "AttributeError"])
+def test_a_missing_renderer_keeps_no_one_from_training(tmp_path, backend, error):
+    library = tmp_path / "OpenGL"
+    library.mkdir()
+    (library / "__init__.py").write_text(f"raise {error}('no library')")
+    result = run_python(WITHOUT_RENDERER.format(str(tmp_path)), backend)
+    assert result.returncode == 0, result.stderr
+    warning, drawn = result.stdout.splitlines()
+    told = "`MUJOCO_GL` must name an OpenGL library that is installed, got "
+    assert warning == (
+        f"{told}'{backend}' (no library): nothing can be drawn." * (error == "AttributeError")
+    )
+    assert drawn.startswith("MuJoCo could not start OpenGL.")
 
 
 def test_every_task_renders_its_motion(gl_backend):
