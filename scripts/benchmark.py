@@ -194,11 +194,14 @@ def note_machine(path: Path, section: str) -> None:
 
 
 def cpu_name() -> str:
-    """What the system calls its CPU."""
+    """What the system calls its CPU, and its generation: many share a name."""
     path = Path("/proc/cpuinfo")
     lines = path.read_text().splitlines() if path.exists() else []
-    names = (line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
-    return next(names, platform.processor())
+    pairs = (line.split(":", 1) for line in lines if ":" in line)
+    facts = {name.strip(): value.strip() for name, value in pairs}
+    if "model name" not in facts:
+        return platform.processor()
+    return f"{facts['model name']} (family {facts['cpu family']}, model {facts['model']})"
 
 
 if __name__ == "__main__":

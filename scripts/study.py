@@ -1,5 +1,6 @@
 """The studies behind the README: curiosity against plain soft actor-critic, seed by seed."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
@@ -8,7 +9,8 @@ import tyro
 
 from deep_curiosity.training import Settings
 from deep_curiosity.training.comparison import compare, draw_comparison
-from deep_curiosity.training.study import Task, run_study, summarize
+from deep_curiosity.training.records import read_progress
+from deep_curiosity.training.study import Task, median_and_range, run_study, summarize
 
 
 @dataclass(frozen=True)
@@ -63,6 +65,10 @@ RIVALS = (
 )
 UNDIRECTED = {"gSDE": "gsde", "pink noise": "pink", "Ornstein-Uhlenbeck": "ou"}
 MANY_AGENTS = 5
+CALIBRATION = {
+    "held-out log-likelihood loss, nats": "curiosity/model_held_out_nll",
+    "share within the 90 % interval": "curiosity/model_coverage_90",
+}
 STUDIES = {
     "sparse": Study(SPARSE, CURIOSITY | PLAIN, seeds=5),
     "control": Study(SPARSE, {"constant bonus": {"bonus": "constant"}}, seeds=1),
@@ -126,19 +132,37 @@ def main() -> None:
     """Run a study and print its table."""
     args = tyro.cli(Args, description=__doc__)
     study = STUDIES[args.study]
-    out = args.out / args.study
+    runs, out = args.runs / args.study, args.out / args.study
     rows = run_study(
         study.tasks,
         study.agents,
         seeds=range(study.seeds if args.seeds is None else args.seeds),
-        runs=args.runs / args.study,
+        runs=runs,
         out=out,
         workers=args.workers,
     )
-    print(summarize(rows))
+    summary = summarize(rows)
+    if args.study == "savings":
+        summary += f"\n{calibration(rows, runs)}"
+        out.with_suffix(".md").write_text(summary)
+    print(summary)
     if len(study.agents) > MANY_AGENTS:  # curves on top of each other tell little
         out.with_suffix(".md").write_text(compare(study.tasks, rows))
         draw_comparison(out.with_suffix(".png"), study.tasks, rows)
+
+
+def calibration(rows: Sequence[Mapping[str, Any]], runs: Path) -> str:
+    """Markdown table of how well the models predict what they never train on, at the end."""
+    header = ["task", "agent", *CALIBRATION]
+    lines = [header, ["---"] * len(header)]
+    for task, agent in dict.fromkeys((row["task"], row["agent"]) for row in rows):
+        seeds = [row["seed"] for row in rows if (row["task"], row["agent"]) == (task, agent)]
+        ends = [read_progress(runs / task / agent / f"seed{seed}")[-1] for seed in seeds]
+        spreads = [
+            median_and_range([float(end[tag]) for end in ends]) for tag in CALIBRATION.values()
+        ]
+        lines.append([task, agent, *spreads])
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
 
 
 if __name__ == "__main__":
