@@ -11,13 +11,7 @@ from torch import Tensor
 from deep_curiosity.bonus import Bonus, Policy
 from deep_curiosity.distributions import drawn, gaussian_log_prob
 from deep_curiosity.divergences import jensen_shannon_lower, jensen_shannon_upper
-from deep_curiosity.dynamics import (
-    DynamicsEnsemble,
-    Features,
-    Precision,
-    Prediction,
-    rows_in_turn,
-)
+from deep_curiosity.dynamics import DynamicsEnsemble, Features, Prediction, rows_in_turn
 from deep_curiosity.marginal import NextStateMarginal
 from deep_curiosity.networks import frozen
 from deep_curiosity.normalization import Standardization
@@ -90,8 +84,6 @@ class CuriosityBonus(Bonus):
             let each transition train one: an unbiased estimate for as many times less as there
             are members. A pair's bonus then depends on its place in the batch. Where `parts`
             need the information gain, all members are asked all the same.
-        precision: Of the products between the models' hidden layers: `"bfloat16"` takes CPUs with
-            instructions for it half the time.
         whitening: Unit of the observation's features: mean and standard deviation, or `"robust"`,
             median and interquartile range. Where a feature has heavy tails, a standard deviation
             grows with them, and the noise floor and the bandwidth become coarse everywhere.
@@ -135,7 +127,6 @@ class CuriosityBonus(Bonus):
         target_perplexity: float = 8.0,
         refresh_interval: int = 10,
         member_per_row: bool = False,
-        precision: Precision = "float32",
         whitening: Literal["moments", "robust"] = "moments",
         features: Sequence[int] | Features | None = None,
         parts: Mapping[str, float] | None = None,
@@ -156,7 +147,6 @@ class CuriosityBonus(Bonus):
             hidden_dims=hidden_dims,
             noise_floor=noise_floor,
             member_per_row=member_per_row,
-            precision=precision,
             whitening=whitening,
             features=features if callable(features) else None,
         )

@@ -18,8 +18,6 @@ from deep_curiosity.transitions import Transition, check_counts, check_finite
 Features = Callable[[Tensor], Tensor]
 """What of observations `(batch, observation_dim)` is to be predicted, `(batch, features)`."""
 
-Precision = Literal["float32", "bfloat16"]
-
 LOG_VAR_RANGE = (-9.0, 2.0)  # of the whitened change: sharper is float noise, wider is ignorance
 HELD_OUT_SHARE = 20  # one transition in twenty is never trained on
 HELD_OUT_DECAY = 0.98  # of the held-out averages, for each batch
@@ -57,9 +55,6 @@ class DynamicsEnsemble(nn.Module):
         noise_floor: Standard deviation added to every prediction, in whitened units.
         member_per_row: Let each transition of a batch train one member, in turn, instead of every
             member by a bootstrap: for as many times less as there are members.
-        precision: Of the products between hidden layers, which are most of the work. In bfloat16
-            two to three digits are kept, and CPUs with instructions for it take half the time.
-            Weights stay float32, as does what comes in and goes out.
         whitening: Unit of observations and changes: their mean and standard deviation, or median
             and interquartile range, which no tail moves.
         features: Maps observations to what of the next one is predicted, in units of its own; the
@@ -86,15 +81,12 @@ class DynamicsEnsemble(nn.Module):
         hidden_dims: Sequence[int] = (256, 256),
         noise_floor: float = 0.05,
         member_per_row: bool = False,
-        precision: Precision = "float32",
         whitening: Literal["moments", "robust"] = "moments",
         features: Features | None = None,
     ) -> None:
         super().__init__()
         if whitening not in WHITENINGS:
             raise ValueError(f"`whitening` must be 'moments' or 'robust', got {whitening!r}.")
-        if precision not in ("float32", "bfloat16"):
-            raise ValueError(f"`precision` must be 'float32' or 'bfloat16', got {precision!r}.")
         if members < 2:
             raise ValueError(
                 f"`members` must be at least 2 to measure disagreement, got {members}."
@@ -117,7 +109,6 @@ class DynamicsEnsemble(nn.Module):
             observation_dim + action_dim,
             hidden_dims,
             2 * outcomes * self.predicted_dim + outcomes - 1,
-            hidden_dtype=torch.bfloat16 if precision == "bfloat16" else None,
         )
         if outcomes > 1:
             self._spread_outcomes(self.predicted_dim)

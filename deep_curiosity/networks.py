@@ -18,19 +18,10 @@ class StackedLinear(nn.Module):
         members: Number of layers stacked along the leading axis.
         in_features: Size of each input.
         out_features: Size of each output.
-        product_dtype: Kind of number in which inputs and weights are multiplied, their own when
-            `None`. Weights, outputs and gradients are kept as they are.
     """
 
-    def __init__(
-        self,
-        members: int,
-        in_features: int,
-        out_features: int,
-        product_dtype: torch.dtype | None = None,
-    ) -> None:
+    def __init__(self, members: int, in_features: int, out_features: int) -> None:
         super().__init__()
-        self.product_dtype = product_dtype
         bound = 1 / math.sqrt(in_features)  # as torch.nn.Linear draws its own
         self.weight = nn.Parameter(
             torch.empty(members, in_features, out_features).uniform_(-bound, bound)
@@ -43,9 +34,8 @@ class StackedLinear(nn.Module):
         """Apply each member's layer to its own batch."""
         if self.weight.shape[-1] == 1:  # a product with one column is dearer than a weighted sum
             return (value * self.weight.mT).sum(-1, keepdim=True) + self.bias
-        dtype = self.product_dtype or value.dtype
-        product = torch.bmm(value.to(dtype), self.weight.to(dtype))
-        return product.to(value.dtype) + self.bias  # apart from the product, free where compiled
+        # the bias apart, which a graph adds for nothing; `baddbmm` would first copy it to all rows
+        return torch.bmm(value, self.weight) + self.bias
 
 
 class StackedMLP(nn.Module):
@@ -56,26 +46,15 @@ class StackedMLP(nn.Module):
         in_features: Size of each input.
         hidden_dims: Width of every hidden layer.
         out_features: Size of each output.
-        hidden_dtype: Kind of number in which one hidden layer is multiplied into the next, see
-            `StackedLinear`; what comes in and what goes out stays as exact as it is.
     """
 
     def __init__(
-        self,
-        members: int,
-        in_features: int,
-        hidden_dims: Sequence[int],
-        out_features: int,
-        hidden_dtype: torch.dtype | None = None,
+        self, members: int, in_features: int, hidden_dims: Sequence[int], out_features: int
     ) -> None:
         super().__init__()
         widths = [in_features, *hidden_dims, out_features]
-        inner = range(1, len(hidden_dims))
         self.members = members
-        self.layers = nn.ModuleList(
-            StackedLinear(members, *pair, hidden_dtype if number in inner else None)
-            for number, pair in enumerate(pairwise(widths))
-        )
+        self.layers = nn.ModuleList(StackedLinear(members, *pair) for pair in pairwise(widths))
 
     def forward(
         self,

@@ -77,8 +77,7 @@ STUDIES = {
         CURIOSITY
         | {
             "curiosity, eager": {"compile": "off"},
-            "curiosity, float32 models": {"model_precision": "float32"},
-            "curiosity, nothing spared": {"member_per_row": False, "model_precision": "float32"},
+            "curiosity, nothing spared": {"member_per_row": False},
         },
         seeds=12,
     ),
@@ -116,8 +115,8 @@ class Args:
 
     study: Literal["sparse", "control", "savings", "bonuses", "mountain_car", "dense"] = "sparse"
     """PendulumSwingup and PointMaze; the same with a constant for a bonus; the same without
-    compiling, with models in float32, and without what the default spares; all bonuses, and noises
-    of the actions without one, on four tasks; MountainCarContinuous-v0; HalfCheetah-v5."""
+    compiling, and without what the default spares; all bonuses, and noises of the actions without
+    one, on four tasks; MountainCarContinuous-v0; HalfCheetah-v5."""
     seeds: int | None = None
     """Seeds of each agent on each task; by default as many as the study is documented with."""
     runs: Path = Path("runs/study")

@@ -134,7 +134,6 @@ def test_on_a_gpu_compiled_updates_give_the_same_numbers_and_wait_for_nothing():
         pytest.param(CLIMBED, ENTRIES, 5e-5, marks=slow),
         pytest.param(CLIMBED, ROBUST, 5e-5, marks=slow),
         pytest.param({"dial": True, "curiosity_episodic": False}, "{}", 1e-5, marks=slow),
-        pytest.param({}, "dict(precision='bfloat16')", 1e-3, marks=slow),
     ],
 )
 def test_compiled_and_eager_updates_give_the_same_numbers(options, bonus, within):

@@ -4,8 +4,7 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from deep_curiosity.benchmark.contenders import Contender, Worker
-from deep_curiosity.benchmark.operations import hidden_model_operations, update_operations
-from deep_curiosity.training.machine import choose_model_precision
+from deep_curiosity.benchmark.operations import update_operations
 from deep_curiosity.training.settings import Settings
 
 Row = dict[str, Any]
@@ -68,23 +67,12 @@ def measure_turn(worker: Worker, settings: Settings | None, steps: int) -> Row:
     if settings is None:
         return row
     parts: dict[str, float] = worker.ask("seconds").value
-    milliseconds = {f"{part}_ms": 1e3 * total / steps for part, total in parts.items()}
-    rates: dict[str, float] = worker.ask("matrix_rates").value
-    operations = operations_by_kind(settings)
-    floor = {
-        "floor_ms": sum(1e3 * number / rates[kind] for kind, number in operations.items()),
-    }
-    for kind, number in operations.items():
-        floor |= {
-            f"{kind}_gigaflop": number / 1e9,
-            f"{kind}_gigaflop_per_second": rates[kind] / 1e9,
-        }
-    return row | milliseconds | floor
-
-
-def operations_by_kind(settings: Settings) -> dict[str, float]:
-    """Operations of an update by the kind of number that is multiplied."""
+    rate: float = worker.ask("matrix_rate").value
     operations = sum(update_operations(settings, OBSERVATION_DIM, ACTION_DIM).values())
-    models = choose_model_precision(settings.model_precision, settings.device)
-    narrow = hidden_model_operations(settings) if models == "bfloat16" else 0.0
-    return {"float32": operations - narrow, "bfloat16": narrow}
+    milliseconds = {f"{part}_ms": 1e3 * total / steps for part, total in parts.items()}
+    floor = {
+        "gigaflop": operations / 1e9,
+        "gigaflop_per_second": rate / 1e9,
+        "floor_ms": 1e3 * operations / rate,
+    }
+    return row | milliseconds | floor

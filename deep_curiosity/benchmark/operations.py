@@ -60,7 +60,8 @@ def update_operations(
 
     model = [observation_dim + action_dim, *hidden, outcomes * (2 * observation_dim + 1) - 1]
     members, components = settings.members, settings.components
-    in_turn, rows = _rows_of_members(settings)
+    in_turn = math.ceil(batch / members)  # rows of each member, where a row has one
+    rows = in_turn if settings.member_per_row else batch
 
     densities = members * forward(rows * outcomes, [2 * observation_dim, components])
     bonus = members * forward(rows, model) + densities
@@ -70,21 +71,3 @@ def update_operations(
         "models": float(members * fit(rows, model)),
         "statistics": refresh / settings.refresh_interval,
     }
-
-
-def hidden_model_operations(settings: Settings) -> float:
-    """Operations of one update between hidden layers of the models: those of `model_precision`."""
-    if settings.bonus != "curiosity":
-        return 0.0
-    in_turn, rows = _rows_of_members(settings)
-    hidden = [settings.hidden_dim] * 2
-    fitted = 3 * forward(rows, hidden)  # a pass, and gradients in the weights and in what enters
-    bonus = forward(rows, hidden)
-    refresh = (forward(in_turn, hidden) + bonus) / settings.refresh_interval
-    return settings.members * (fitted + bonus + refresh)
-
-
-def _rows_of_members(settings: Settings) -> tuple[int, int]:
-    """Rows of a batch that each member has in turn, and that it has in training and bonus."""
-    in_turn = math.ceil(settings.batch_size / settings.members)
-    return in_turn, in_turn if settings.member_per_row else settings.batch_size

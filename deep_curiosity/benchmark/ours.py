@@ -98,7 +98,6 @@ class OurAgent:
         """Time that each part took in the newest call of `step`, and the whole `update`."""
         return dict(self._stopwatch.seconds)
 
-    def matrix_rates(self) -> dict[str, float]:
+    def matrix_rate(self) -> float:
         """Operations per second of matrix products, as precision and machine now stand."""
-        kinds = {"float32": torch.float32, "bfloat16": torch.bfloat16}
-        return {name: matmul_rate(dtype=kind) for name, kind in kinds.items()}
+        return matmul_rate()

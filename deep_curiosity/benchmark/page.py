@@ -78,9 +78,8 @@ Learning is one graph where compiled; models and agent can be told apart only wh
 {parts_table(rows)}
 
 The floor is the time of the update's matrix products, counted from the sizes of the layers
-(`deep_curiosity/benchmark/operations.py`), in float32 and, between hidden layers of the models, in
-bfloat16, at the rates of a batched product of four matrices of 256 x 256 in either kind, measured
-in the same process after every turn.
+(`deep_curiosity/benchmark/operations.py`), at the rate of a batched product of four matrices of
+256 x 256, measured in the same process after every turn.
 
 {floor_table(rows)}
 """
@@ -128,18 +127,15 @@ def floor_table(rows: Sequence[Row]) -> str:
     lines = [
         [
             str(name),
-            f"{median(own, 'float32_gigaflop'):.3f}",
-            f"{median(own, 'bfloat16_gigaflop'):.3f}",
-            spread(own, "float32_gigaflop_per_second"),
-            spread(own, "bfloat16_gigaflop_per_second"),
+            f"{median(own, 'gigaflop'):.3f}",
+            spread(own, "gigaflop_per_second"),
             spread(own, "floor_ms"),
             spread(own, "update_ms"),
             spread(own, ratio("update_ms", "floor_ms")),
         ]
         for (name,), own in grouped(_ours(rows), "contender").items()
     ]
-    kinds = ["GFLOP", "bfloat16", "GFLOP/s", "bfloat16"]
-    header = ["agent", *kinds, "floor, ms", "update, ms", "update / floor"]
+    header = ["agent", "GFLOP", "GFLOP/s", "floor, ms", "update, ms", "update / floor"]
     return markdown_table(header, lines)
 
 

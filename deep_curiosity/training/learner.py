@@ -25,7 +25,7 @@ from deep_curiosity.training.collection import (
 )
 from deep_curiosity.training.exploration import NOISES, Noise
 from deep_curiosity.training.hunger import Keeper, Sense, make_keeper
-from deep_curiosity.training.machine import choose_model_precision, should_compile
+from deep_curiosity.training.machine import should_compile
 from deep_curiosity.training.settings import Settings
 from deep_curiosity.transitions import Sequences, Transition, first_of
 
@@ -291,7 +291,6 @@ def make_run_bonus(settings: Settings, observation_dim: int, action_dim: int) ->
         bandwidth=settings.bandwidth,
         refresh_interval=settings.refresh_interval,
         member_per_row=settings.member_per_row,
-        precision=choose_model_precision(settings.model_precision, settings.device),
         whitening=settings.whitening,
         features=features_of(settings, observation_dim, action_dim),
         parts=settings.bonus_parts or None,

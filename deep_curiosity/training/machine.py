@@ -8,12 +8,10 @@ import os
 import shutil
 import sys
 import time
-from collections.abc import Callable, Mapping
-from typing import Any, Literal
+from typing import Literal
 
 import torch
 
-from deep_curiosity.dynamics import Precision
 from deep_curiosity.precision import FLOAT32_ERROR, matmul_error
 from deep_curiosity.training.settings import Settings
 
@@ -34,12 +32,8 @@ def prepare_machine(settings: Settings) -> MatmulPrecision:
     precision = choose_matmul_precision(settings.matmul_precision, settings.device)
     torch.set_float32_matmul_precision(precision)
     error = matmul_error(settings.device)
-    models = choose_model_precision(settings.model_precision, settings.device)
     how = "compiled" if should_compile(settings) else "eager"
-    print(
-        f"Matrix products {precision}, relative error {error:.1e}; models {models}; updates {how}",
-        flush=True,
-    )
+    print(f"Matrix products {precision}, relative error {error:.1e}; updates {how}", flush=True)
     return precision
 
 
@@ -57,28 +51,11 @@ def choose_matmul_precision(asked: str, device: str = "cpu") -> MatmulPrecision:
     return max(rates, key=lambda precision: rates[precision])
 
 
-def choose_model_precision(asked: str, device: str = "cpu") -> Precision:
-    """The precision asked for, or with `"auto"` bfloat16 on a CPU with instructions for it.
-
-    Decided by what the processor says and not by the clock: two runs of one seed are the same.
-    """
-    if asked != "auto":
-        return "bfloat16" if asked == "bfloat16" else "float32"
-    tell: Callable[[], Mapping[str, Any]] = getattr(torch.cpu, "get_capabilities", dict)  # is new
-    fast = tell().get("avx512_bf16") or tell().get("amx_bf16")
-    return "bfloat16" if fast and torch.device(device).type == "cpu" else "float32"
-
-
 def matmul_rate(
-    members: int = 4,
-    size: int = 256,
-    *,
-    device: str = "cpu",
-    dtype: torch.dtype = torch.float32,
-    repeats: int = 20,
+    members: int = 4, size: int = 256, *, device: str = "cpu", repeats: int = 20
 ) -> float:
     """Floating-point operations per second of a batched product, the best of some repeats."""
-    left, right = torch.randn(2, members, size, size, device=device, dtype=dtype)
+    left, right = torch.randn(2, members, size, size, device=device)
     seconds = []
     for _ in range(repeats):
         wait_for(device)

@@ -141,9 +141,6 @@ class Settings:
     """Updates from one renewal of the marginal and of the statistics that whiten to the next."""
     member_per_row: bool = True
     """Let each transition train one model, and ask one for its bonus, in turn, instead of all."""
-    model_precision: Literal["auto", "float32", "bfloat16"] = "auto"
-    """Of the products between the models' hidden layers; auto is bfloat16 on CPUs that have
-    instructions for it."""
 
     learning_starts: int = 500
     """Steps of uniformly random actions before the first update."""

@@ -5,13 +5,7 @@ import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from deep_curiosity.benchmark.costs import random_steps
-from deep_curiosity.benchmark.operations import (
-    climb,
-    fit,
-    forward,
-    hidden_model_operations,
-    update_operations,
-)
+from deep_curiosity.benchmark.operations import climb, fit, forward, update_operations
 from deep_curiosity.training import Settings
 from deep_curiosity.training.learner import Learner
 
@@ -61,13 +55,6 @@ def test_a_member_for_each_row_costs_as_one_member():
     all_members = update_operations(SMALL, 3, 2)
     assert all_members["agent"] - shared["agent"] == 20 * 60 + 20 * 6 * 5
     assert shared["models"] == all_members["models"] / 2
-
-
-def test_operations_between_hidden_layers_of_the_models():
-    shared = hidden_model_operations(replace(SMALL, member_per_row=True))
-    assert hidden_model_operations(SMALL) == 2 * 20 * 16 * (3 + 1 + (0.5 + 1) / 10)
-    assert shared == 2 * 10 * 16 * (3 + 1 + (1 + 1) / 10)
-    assert hidden_model_operations(replace(SMALL, bonus="none")) == 0
 
 
 @pytest.mark.parametrize("changes", [{"bonus": "none"}, {}, {"member_per_row": False}], ids=str)

@@ -10,7 +10,6 @@ from deep_curiosity.training import Settings, machine, train
 from deep_curiosity.training.learner import Learner
 from deep_curiosity.training.machine import (
     choose_matmul_precision,
-    choose_model_precision,
     matmul_rate,
     prepare_machine,
     should_compile,
@@ -71,35 +70,6 @@ def test_a_resumed_run_keeps_the_precision_that_was_fastest_when_it_began(monkey
     torch.set_float32_matmul_precision("medium")
     train(Settings(resume=tiny.out, total_steps=70), show_progress=False)
     assert torch.get_float32_matmul_precision() == "high"
-
-
-@pytest.mark.parametrize(
-    ("capabilities", "device", "expected"),
-    [
-        ({"avx512_bf16": True, "amx_bf16": False}, "cpu", "bfloat16"),
-        ({"amx_bf16": True}, "cpu", "bfloat16"),
-        ({"avx512_bf16": False}, "cpu", "float32"),
-        ({}, "cpu", "float32"),
-        ({"avx512_bf16": True}, "cuda", "float32"),
-    ],
-)
-def test_auto_models_are_bfloat16_where_a_cpu_has_instructions_for_it(
-    monkeypatch, capabilities, device, expected
-):
-    monkeypatch.setattr(torch.cpu, "get_capabilities", lambda: capabilities, raising=False)
-    assert choose_model_precision("auto", device) == expected
-
-
-def test_auto_models_are_float32_where_torch_cannot_tell(monkeypatch):
-    monkeypatch.delattr(torch.cpu, "get_capabilities", raising=False)
-    assert choose_model_precision("auto") == "float32"
-
-
-@pytest.mark.parametrize("precision", ["float32", "bfloat16"])
-def test_the_models_precision_that_is_asked_for_reaches_them(precision):
-    learner = Learner(Settings(model_precision=precision), 3, 1)
-    kinds = [layer.product_dtype for layer in learner.bonus.dynamics.network.layers]
-    assert kinds == [None, torch.bfloat16 if precision == "bfloat16" else None, None]
 
 
 def test_a_rate_is_operations_over_seconds():
