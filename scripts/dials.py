@@ -25,6 +25,7 @@ from deep_curiosity.training.playback import load_agent
 from deep_curiosity.training.records import read_progress
 from deep_curiosity.training.study import (
     EVALUATION_TAG,
+    markdown_table,
     median_and_range,
     placed,
     run_once,
@@ -431,15 +432,14 @@ def chosen(dial: Dial, tasks: Sequence[str]) -> Dial:
 def summary_of(dial: Dial, rows: Sequence[Row]) -> str:
     """Markdown: median and range over seeds at each value, and whether the dial is monotone."""
     header = ["task", dial.x, *dial.columns]
-    lines = [header, ["---"] * len(header)]
+    lines = []
     for task in dial.settings:
         for place in _places(dial, rows):
             own = [row for row in rows if row["task"] == task and row[dial.x] == place]
             values = [[row[name] for row in own] for name in dial.columns]
             spreads = ["" if np.isnan(each).all() else median_and_range(each) for each in values]
             lines.append([task, f"{place}", *spreads])
-    table = "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
-    return "\n".join([table, *_rank_correlations(dial, rows)])
+    return "\n".join([markdown_table(header, lines) + "\n", *_rank_correlations(dial, rows)])
 
 
 def _rank_correlations(dial: Dial, rows: Sequence[Row]) -> list[str]:

@@ -19,7 +19,7 @@ from deep_curiosity.tabular.worlds import reliable_unreliable
 from deep_curiosity.training import Settings
 from deep_curiosity.training.environments import make_environment
 from deep_curiosity.training.playback import load_agent
-from deep_curiosity.training.study import run_once, write_table
+from deep_curiosity.training.study import markdown_table, run_once, write_table
 
 NUM_DRAWS = 20_000  # actions drawn in each state to know the policy by
 EXTREME = 0.8  # in the agent's units of [-1, 1]: within 0.1 of an end of the paper's [0, 1]
@@ -124,9 +124,8 @@ def summary_of(rows: list[dict[str, object]]) -> str:
     )
     uniform, learned, one_step, far = QUESTIONS
     exact = float(far_sighted.policy[0, 0])
+    header = ["question", "quantity", "exact", "deep agent: median [range]"]
     lines = [
-        ("question", "quantity", "exact", "deep agent: median [range]"),
-        ("---",) * 4,
         (uniform, "mass within 0.1 of 0 and 1", "1", spread(rows, uniform, "extreme")),
         (uniform, "mass near 0", "0.5", spread(rows, uniform, "near_0")),
         (uniform, "mass near 1", "0.5", spread(rows, uniform, "near_1")),
@@ -134,7 +133,7 @@ def summary_of(rows: list[dict[str, object]]) -> str:
         (one_step, "pi(STAY given 0)", "0.5", spread(rows, one_step, "pi_stay", [0])),
         (far, "pi(STAY given 0)", f"{exact:.3f}", spread(rows, far, "pi_stay", [0])),
     ]
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+    return markdown_table(header, lines) + "\n"
 
 
 def spread(

@@ -1,16 +1,23 @@
 """The studies behind the README: curiosity against plain soft actor-critic, seed by seed."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import tyro
 
+from deep_curiosity.benchmark.tables import grouped
 from deep_curiosity.training import Settings
 from deep_curiosity.training.comparison import compare, draw_comparison
 from deep_curiosity.training.records import read_progress
-from deep_curiosity.training.study import Task, median_and_range, run_study, summarize
+from deep_curiosity.training.study import (
+    Task,
+    markdown_table,
+    median_and_range,
+    run_study,
+    summarize,
+)
 
 
 @dataclass(frozen=True)
@@ -150,18 +157,17 @@ def main() -> None:
         draw_comparison(out.with_suffix(".png"), study.tasks, rows)
 
 
-def calibration(rows: Sequence[Mapping[str, Any]], runs: Path) -> str:
+def calibration(rows: Sequence[dict[str, Any]], runs: Path) -> str:
     """Markdown table of how well the models predict what they never train on, at the end."""
-    header = ["task", "agent", *CALIBRATION]
-    lines = [header, ["---"] * len(header)]
-    for task, agent in dict.fromkeys((row["task"], row["agent"]) for row in rows):
-        seeds = [row["seed"] for row in rows if (row["task"], row["agent"]) == (task, agent)]
-        ends = [read_progress(runs / task / agent / f"seed{seed}")[-1] for seed in seeds]
+    lines = []
+    for key, own in grouped(rows, "task", "agent").items():
+        task, agent = map(str, key)
+        ends = [read_progress(runs / task / agent / f"seed{row['seed']}")[-1] for row in own]
         spreads = [
             median_and_range([float(end[tag]) for end in ends]) for tag in CALIBRATION.values()
         ]
         lines.append([task, agent, *spreads])
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+    return markdown_table(["task", "agent", *CALIBRATION], lines) + "\n"
 
 
 if __name__ == "__main__":

@@ -31,7 +31,13 @@ import deep_curiosity_envs  # noqa: F401  # registers the task
 from deep_curiosity.adapters.torchrl import CuriosityTransform
 from deep_curiosity.bonuses import BonusLearner, make_bonus
 from deep_curiosity.training import Settings
-from deep_curiosity.training.study import Task, draw_curves, median_and_range, write_table
+from deep_curiosity.training.study import (
+    Task,
+    draw_curves,
+    markdown_table,
+    median_and_range,
+    write_table,
+)
 
 # 200 steps that pay at most 1 each: no return is above 200, and half of that is asked
 TASK = Task("PendulumSwingup", Settings(env_id="PendulumSwingup"), solved_return=100.0)
@@ -204,10 +210,8 @@ def write_study(out: Path, runs: Sequence[Run], results: Sequence[dict[str, Any]
 
 def summarize(rows: Sequence[dict[str, Any]]) -> str:
     """Markdown table: seeds solved, and median and range over seeds."""
-    lines = [
-        "| agent | seeds solved | evaluation return | mean training return |",
-        "| --- " * 4 + "|",
-    ]
+    header = ["agent", "seeds solved", "evaluation return", "mean training return"]
+    lines = []
     for agent in AGENTS:
         own = [row for row in rows if row["agent"] == agent]
         spreads = [
@@ -215,8 +219,8 @@ def summarize(rows: Sequence[dict[str, Any]]) -> str:
             for name in ("evaluation_return", "mean_training_return")
         ]
         solved = f"{sum(row['solved'] for row in own)} of {len(own)}"
-        lines.append(f"| {' | '.join([agent, solved, *spreads])} |")
-    return "\n".join(lines) + "\n"
+        lines.append([agent, solved, *spreads])
+    return markdown_table(header, lines) + "\n"
 
 
 def main() -> None:

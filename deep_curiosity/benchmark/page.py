@@ -7,7 +7,6 @@ from deep_curiosity.benchmark.agents import ACTION_DIM, NUM_FILLED, OBSERVATION_
 from deep_curiosity.benchmark.ours import PARTS
 from deep_curiosity.benchmark.tables import (
     grouped,
-    markdown_table,
     median,
     rate_over,
     ratio,
@@ -16,6 +15,7 @@ from deep_curiosity.benchmark.tables import (
     spread,
 )
 from deep_curiosity.replay import ReplayBuffer
+from deep_curiosity.training.study import markdown_table
 
 AS_USED, SAME_PRECISION = "Stable-Baselines3", "Stable-Baselines3, our precision"
 """Stable-Baselines3 as its users run it, and with our precision of matrix products."""

@@ -36,11 +36,6 @@ def _number_or_text(value: str) -> float | str:
         return value
 
 
-def markdown_table(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    """Table in Markdown."""
-    return "\n".join(f"| {' | '.join(line)} |" for line in (header, ["---"] * len(header), *lines))
-
-
 def grouped(rows: Sequence[Row], *columns: str) -> dict[Key, list[Row]]:
     """Rows that agree in some columns, in the order of their first."""
     groups: dict[Key, list[Row]] = {}

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from deep_curiosity.training.study import Task
+from deep_curiosity.training.study import Task, markdown_table
 
 DRAWS = 10_000  # of the bootstrap
 LEVEL = 0.95
@@ -39,7 +39,7 @@ def compare(tasks: Sequence[Task], rows: Sequence[Mapping[str, Any]]) -> str:
     """Markdown table: for each agent the share of runs that solve, and the return on each task."""
     names = [task.name for task in tasks]
     header = ["agent", "runs solved", *(f"{name}: return, solved" for name in names)]
-    lines = [header, ["---"] * len(header)]
+    lines = []
     for agent in _by_solved(tasks, rows):
         solved = [_values(rows, name, agent, "solved") for name in names]
         cells = [
@@ -48,7 +48,7 @@ def compare(tasks: Sequence[Task], rows: Sequence[Mapping[str, Any]]) -> str:
             for name, own in zip(names, solved, strict=True)
         ]
         lines.append([agent, _shown(bootstrap(solved), ".0%"), *cells])
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+    return markdown_table(header, lines) + "\n"
 
 
 def draw_comparison(path: Path, tasks: Sequence[Task], rows: Sequence[Mapping[str, Any]]) -> None:

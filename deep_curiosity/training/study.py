@@ -108,13 +108,18 @@ def run_study(
 def summarize(rows: Sequence[Mapping[str, Any]]) -> str:
     """Markdown table: seeds solved, and median and range over seeds of what counts."""
     header = ["task", "agent", "seeds solved", *(name.replace("_", " ") for name in SUMMARIZED)]
-    lines = [header, ["---"] * len(header)]
+    lines = []
     for task, agent in dict.fromkeys((row["task"], row["agent"]) for row in rows):
         own = [row for row in rows if (row["task"], row["agent"]) == (task, agent)]
         solved = f"{sum(row['solved'] for row in own)} of {len(own)}"
         spreads = [median_and_range([row[name] for row in own]) for name in SUMMARIZED]
         lines.append([task, agent, solved, *spreads])
-    return "\n".join(f"| {' | '.join(line)} |" for line in lines) + "\n"
+    return markdown_table(header, lines) + "\n"
+
+
+def markdown_table(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    """Table in Markdown."""
+    return "\n".join(f"| {' | '.join(line)} |" for line in (header, ["---"] * len(header), *lines))
 
 
 def median_and_range(values: Sequence[float | int | None]) -> str:

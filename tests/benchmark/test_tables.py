@@ -2,7 +2,6 @@ import pytest
 
 from deep_curiosity.benchmark.tables import (
     grouped,
-    markdown_table,
     rate_over,
     ratio,
     read_rows,
@@ -10,6 +9,7 @@ from deep_curiosity.benchmark.tables import (
     slope,
     spread,
 )
+from deep_curiosity.training.study import markdown_table
 
 ROWS = [
     {"contender": name, "repeat": repeat, "steps_per_second": rate}
