@@ -93,6 +93,9 @@ class CuriousActorCritic(nn.Module):
             actor-critic does. By default only with the uniform prior: the paper keeps the value
             purely about reward.
         learning_rate: Of Adam, for every part.
+        actor_stride: Policy, prior and temperature learn from one in as many transitions of a
+            batch, the critics from them all. Their gradient stays right on average and costs as
+            many times less.
         polyak: Share of the critics that moves into the target critics at each update.
 
     Raises:
@@ -130,13 +133,16 @@ class CuriousActorCritic(nn.Module):
         target_information_rate: float | None = None,
         soft_backup: bool | None = None,
         learning_rate: float = 3e-4,
+        actor_stride: int = 1,
         polyak: float = 0.005,
     ) -> None:
         super().__init__()
         _check_discount("discount", discount)
         _check_discount("curiosity_discount", curiosity_discount)
         _check_positive("learning_rate", learning_rate)
-        check_counts(reward_steps=reward_steps, curiosity_steps=curiosity_steps)
+        check_counts(
+            reward_steps=reward_steps, curiosity_steps=curiosity_steps, actor_stride=actor_stride
+        )
         if not 0 < polyak <= 1:
             raise ValueError(f"`polyak` must lie in (0, 1], got {polyak}.")
         if prior not in RATE_PER_ACTION_DIM:
@@ -158,6 +164,7 @@ class CuriousActorCritic(nn.Module):
                 f"`target_information_rate` must be finite, got {target_information_rate}."
             )
         self.target_information_rate = target_information_rate
+        self.actor_stride = actor_stride
         self.polyak = polyak
 
         has_curiosity_critic = curiosity and curiosity_discount > 0
@@ -297,7 +304,8 @@ class CuriousActorCritic(nn.Module):
         self._check_update(batch)
         hunger = self._drawn_hunger(transition.reward) if self.dial else self._hunger
         metrics = self._update_critics(batch, bonus, hunger)
-        policy_draws, actor_metrics = self._update_actor(transition, bonus, hunger)
+        taken = self._thinned(transition.observation, hunger)
+        policy_draws, actor_metrics = self._update_actor(*taken, bonus)
         metrics |= actor_metrics | self._update_prior(policy_draws)
         metrics |= self._update_temperature(policy_draws)
         self._move_targets()
@@ -427,17 +435,25 @@ class CuriousActorCritic(nn.Module):
             value[0] -= self.log_temperature.exp() * information_cost
         return value
 
+    def _thinned(
+        self, observation: Float[Tensor, "batch observation_dim"], hunger: Hunger
+    ) -> tuple[Tensor, Tensor]:
+        """Observations from which the actor learns, and the hunger of each or of all."""
+        rows = slice(None, None, self.actor_stride)
+        return observation[rows], hunger[rows] if hunger.ndim else hunger
+
     def _update_actor(
-        self, transition: Transition, bonus: Bonus | None, hunger: Hunger
+        self,
+        observation: Float[Tensor, "rows observation_dim"],
+        hunger: Hunger,
+        bonus: Bonus | None,
     ) -> tuple[PolicyDraws, dict[str, Tensor]]:
         """Step the policy; return its draws and what to log."""
-        policy = self.policy(self.seen(transition.observation, hunger))
+        policy = self.policy(self.seen(observation, hunger))
         weight = policy.log_weight.exp()
         pre_action = policy.pre_actions(torch.randn_like(policy.loc))
         information_cost = policy.log_prob(pre_action) - self.prior.log_prob(pre_action)
-        value, curiosity_value = self._values(
-            transition.observation, torch.tanh(pre_action), bonus, hunger
-        )
+        value, curiosity_value = self._values(observation, torch.tanh(pre_action), bonus, hunger)
         loss = actor_loss(
             information_cost,
             value,

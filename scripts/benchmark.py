@@ -31,14 +31,16 @@ from deep_curiosity.benchmark.tables import read_rows, save_rows
 from deep_curiosity.benchmark.vector import measure_vector_environments
 from deep_curiosity.training import Settings
 from deep_curiosity.training.machine import prepare_machine
+from deep_curiosity.training.settings import NOTHING_SPARED
 
 STABLE_BASELINES = "deep_curiosity.benchmark.stable_baselines:StableBaselines"
 PLAIN = Settings(env_id="HalfCheetah-v5", bonus="none", prior="uniform")
 CURIOUS = replace(PLAIN, bonus="curiosity", prior="learned")
 OURS = {
     "plain": PLAIN,
+    "plain, nothing spared": replace(PLAIN, **NOTHING_SPARED),
     "curious": CURIOUS,
-    "curious, nothing spared": replace(CURIOUS, member_per_row=False),
+    "curious, nothing spared": replace(CURIOUS, **NOTHING_SPARED),
 }
 BONUS_CALLS = 50  # in a turn: a tenth of a second
 ADAPTER_CALLS = 50  # in a turn: three seconds

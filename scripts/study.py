@@ -11,6 +11,7 @@ from deep_curiosity.benchmark.tables import grouped
 from deep_curiosity.training import Settings
 from deep_curiosity.training.comparison import compare, draw_comparison
 from deep_curiosity.training.records import read_progress
+from deep_curiosity.training.settings import NOTHING_SPARED
 from deep_curiosity.training.study import (
     Task,
     markdown_table,
@@ -84,7 +85,7 @@ STUDIES = {
         CURIOSITY
         | {
             "curiosity, eager": {"compile": "off"},
-            "curiosity, nothing spared": {"member_per_row": False},
+            "curiosity, nothing spared": NOTHING_SPARED,
         },
         seeds=12,
     ),

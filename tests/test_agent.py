@@ -85,7 +85,9 @@ def noise(monkeypatch):
     """The draws of one update, in order: at the next observation, then at the observation."""
     draws = torch.randn(2, 32, 2, dtype=torch.float64)
     queue = iter(draws)
-    monkeypatch.setattr(torch, "randn_like", lambda like: next(queue).to(like).unsqueeze(0))
+    monkeypatch.setattr(
+        torch, "randn_like", lambda like: next(queue)[: like.shape[-2]].to(like).unsqueeze(0)
+    )
     return draws
 
 
@@ -130,9 +132,9 @@ def soft_actor_critic_policy_loss(agent, critics, batch, noise):
     return (TEMPERATURE * log_prob - torch.min(first, second)).mean(), log_prob
 
 
-def updated_pair():
+def updated_pair(**options):
     """An agent that is plain soft actor-critic, a copy to update, and a batch in float64."""
-    agent = plain_agent(temperature=TEMPERATURE, discount=DISCOUNT).double()
+    agent = plain_agent(temperature=TEMPERATURE, discount=DISCOUNT, **options).double()
     return agent, deepcopy(agent), double(random_transition())
 
 
@@ -162,6 +164,28 @@ def test_without_curiosity_the_temperature_loss_is_that_of_soft_actor_critic(noi
     expected = -(log_prob + target_entropy).mean()  # gradient in log alpha
     before.log_temperature.grad = expected.detach()
     assert_gradients(agent, "temperature", [before.log_temperature], atol=1e-6)
+
+
+def test_with_a_stride_the_actor_learns_from_the_rows_it_takes_and_the_critics_from_all(noise):
+    before, agent, batch = updated_pair(actor_stride=3)
+    taken = Transition(*(field[::3] for field in batch))
+    metrics = agent.update(batch)
+    evaluation = soft_actor_critic_critic_loss(before, batch, noise[0])
+    improvement, log_prob = soft_actor_critic_policy_loss(
+        before, agent.critics, taken, noise[1, :11]
+    )
+    assert metrics["critic_loss"].item() == pytest.approx(evaluation.item(), abs=1e-6)
+    assert metrics["policy_loss"].item() == pytest.approx(improvement.item(), abs=1e-6)
+    improvement.backward()
+    assert_gradients(agent, "policy", before.policy.parameters(), atol=1e-6)
+    before.log_temperature.grad = -(log_prob - 2.0).mean().detach()
+    assert_gradients(agent, "temperature", [before.log_temperature], atol=1e-6)
+
+
+def test_with_a_stride_every_row_keeps_its_own_hunger():
+    observation, hunger = torch.randn(5, 3), torch.linspace(0, 1, 5)
+    taken, own = dialled_agent(actor_stride=2)._thinned(observation, hunger)
+    assert taken.equal(observation[::2]) and own.equal(hunger[::2])
 
 
 def test_log_density_agrees_with_stable_baselines3():
@@ -589,6 +613,7 @@ def test_a_bonus_for_an_agent_without_curiosity_is_rejected():
         ("learning_rate", 0.0),
         ("polyak", 0.0),
         ("polyak", 1.5),
+        ("actor_stride", 0),
         ("target_information_rate", math.nan),
     ],
 )

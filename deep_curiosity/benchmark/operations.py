@@ -53,7 +53,8 @@ def update_operations(
 
     target = forward(batch, policy) + critics * forward(batch, critic)
     evaluation = critics * fit(batch, critic)
-    improvement = fit(batch, policy) + critics * climb(modes * batch, critic, action_dim)
+    thinned = math.ceil(batch / settings.actor_stride)
+    improvement = fit(thinned, policy) + critics * climb(modes * thinned, critic, action_dim)
     agent = float(target + evaluation + improvement)
     if settings.bonus != "curiosity":
         return {"agent": agent}

@@ -256,6 +256,7 @@ def make_agent(settings: Settings, observation_dim: int, action_dim: int) -> Cur
         tune_temperature=settings.temperature_control == "rate",
         target_information_rate=settings.target_information_rate,
         learning_rate=settings.learning_rate,
+        actor_stride=settings.actor_stride,
         polyak=settings.polyak,
     )
 

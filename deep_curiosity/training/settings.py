@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Literal, get_args, get_origin
+from typing import Any, Literal, get_args, get_origin
 
 import torch
 
@@ -11,6 +11,8 @@ from deep_curiosity.bonuses import BONUSES
 
 SCORES_OUTCOMES = [name for name, kind in BONUSES.items() if kind.scores_outcomes]
 """Bonuses that are told what has happened, and cannot be climbed by the action."""
+NOTHING_SPARED: dict[str, Any] = {"member_per_row": False, "actor_stride": 1}
+"""Settings by which every network learns from the whole of every batch."""
 
 
 @dataclass(frozen=True)
@@ -109,6 +111,9 @@ class Settings:
     """Share of the critics that moves into the target critics at each update."""
     batch_size: int = 256
     """Transitions in an update."""
+    actor_stride: int = 2
+    """Policy, prior and temperature learn from one in as many transitions of a batch; critics and
+    models from them all."""
     hidden_dim: int = 256
     """Width of the two hidden layers of policy, critics and models."""
     policy_modes: int = 1

@@ -8,6 +8,7 @@ from deep_curiosity.benchmark.costs import random_steps
 from deep_curiosity.benchmark.operations import climb, fit, forward, update_operations
 from deep_curiosity.training import Settings
 from deep_curiosity.training.learner import Learner
+from deep_curiosity.training.settings import NOTHING_SPARED
 
 SMALL = Settings(
     hidden_dim=4,
@@ -15,7 +16,7 @@ SMALL = Settings(
     members=2,
     components=5,
     refresh_interval=10,
-    member_per_row=False,
+    **NOTHING_SPARED,
 )
 # products: policy 3-4-4-4 has 44, critic 5-4-4-1 has 40, model 5-4-4-6 has 60
 
@@ -57,7 +58,15 @@ def test_a_member_for_each_row_costs_as_one_member():
     assert shared["models"] == all_members["models"] / 2
 
 
-@pytest.mark.parametrize("changes", [{"bonus": "none"}, {}, {"member_per_row": False}], ids=str)
+def test_an_actor_that_takes_every_third_row_costs_as_many_rows():
+    whole, thinned = (
+        update_operations(replace(SMALL, bonus="none", actor_stride=stride), 3, 2)["agent"]
+        for stride in (1, 3)
+    )
+    assert whole - thinned == (10 - 4) * 2 * ((44 + 44 + 32) + 2 * (40 + 28))
+
+
+@pytest.mark.parametrize("changes", [{"bonus": "none"}, {}, NOTHING_SPARED], ids=str)
 def test_torch_counts_as_many_operations(changes):
     settings = Settings(batch_size=64, refresh_interval=1, compile="off", **changes)
     learner = Learner(settings, 17, 6)
