@@ -16,10 +16,13 @@ def matmul_error(device: str | torch.device = "cpu") -> float:
     return _measured_error(torch.get_float32_matmul_precision(), torch.device(device).type)
 
 
-@torch.compiler.assume_constant_result
 def matmul_is_float32(device: str = "cpu") -> bool:
     """Whether matrix products are as exact as float32 allows."""
     return matmul_error(device) < FLOAT32_ERROR
+
+
+# as `torch.compiler.assume_constant_result` marks it, which loads the compiler: a second of import
+vars(matmul_is_float32)["_dynamo_marked_constant"] = True
 
 
 @cache
