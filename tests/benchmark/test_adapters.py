@@ -10,7 +10,8 @@ def test_every_adapter_is_measured_against_the_bonus_alone(tmp_path):
     rows = measure_adapters("HalfCheetah-v5", repeats=1, calls=2)
     assert [row["adapter"] for row in rows] == ["Stable-Baselines3", "torchrl"]
     for row in rows:
-        assert row["step_ms"] > row["curious_ms"] > row["plain_ms"] > 0 < row["direct_ms"]
+        assert row["curious_ms"] > row["plain_ms"] > 0  # twenty times: no load turns them round
+        assert row["direct_ms"] > 0 and row["step_ms"] > 0
     save_rows(tmp_path / "adapters.csv", rows)
     assert "| Stable-Baselines3 | " in adapters_section(tmp_path)
 
