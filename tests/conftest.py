@@ -1,4 +1,4 @@
-"""One thread, a random stream of its own for every test, and runs of a second."""
+"""One thread, random stream and precision of its own for every test, and runs of a second."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -17,6 +17,13 @@ def own_random_stream() -> Iterator[None]:
     with torch.random.fork_rng():
         torch.manual_seed(0)
         yield
+
+
+@pytest.fixture(autouse=True)
+def own_precision() -> Iterator[None]:
+    before = torch.get_float32_matmul_precision()
+    yield
+    torch.set_float32_matmul_precision(before)  # which a script that runs here may have set
 
 
 @pytest.fixture(autouse=True)

@@ -17,13 +17,6 @@ from deep_curiosity.training.machine import (
 from deep_curiosity.training.records import read_settings
 
 
-@pytest.fixture(autouse=True)
-def switch_as_before():
-    before = torch.get_float32_matmul_precision()
-    yield
-    torch.set_float32_matmul_precision(before)
-
-
 def test_the_highest_precision_is_float32():
     torch.set_float32_matmul_precision("highest")
     assert matmul_is_float32() and 0 < matmul_error() < 1e-6
