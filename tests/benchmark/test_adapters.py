@@ -2,16 +2,20 @@ import pytest
 
 from deep_curiosity.benchmark.adapters import measure_adapters
 from deep_curiosity.benchmark.page import adapters_section
-from deep_curiosity.benchmark.tables import save_rows
+from deep_curiosity.benchmark.tables import grouped, save_rows
 
 
 @pytest.mark.filterwarnings("ignore")  # what MuJoCo says of the task's file
 def test_every_adapter_is_measured_against_the_bonus_alone(tmp_path):
-    rows = measure_adapters("HalfCheetah-v5", repeats=1, calls=2)
-    assert [row["adapter"] for row in rows] == ["Stable-Baselines3", "torchrl"]
-    for row in rows:
-        assert row["curious_ms"] > row["plain_ms"] > 0  # twenty times: no load turns them round
-        assert row["direct_ms"] > 0 and row["step_ms"] > 0
+    rows = measure_adapters("HalfCheetah-v5", repeats=3, calls=2)
+    assert [row["adapter"] for row in rows] == 3 * ["Stable-Baselines3", "torchrl"]
+    for own in grouped(rows, "adapter").values():
+        # the shortest of several turns: another process can only make a turn longer
+        step, curious, plain, direct = (
+            min(row[f"{part}_ms"] for row in own)
+            for part in ("step", "curious", "plain", "direct")
+        )
+        assert step > curious > plain > 0 < direct
     save_rows(tmp_path / "adapters.csv", rows)
     assert "| Stable-Baselines3 | " in adapters_section(tmp_path)
 

@@ -9,7 +9,6 @@ from deep_curiosity.benchmark.tables import (
     slope,
     spread,
 )
-from deep_curiosity.training.study import markdown_table
 
 ROWS = [
     {"contender": name, "repeat": repeat, "steps_per_second": rate}
@@ -33,10 +32,6 @@ def test_one_column_over_another():
 
 def test_groups_keep_their_order():
     assert list(grouped(ROWS[::-1], "contender")) == [("theirs",), ("ours",)]
-
-
-def test_markdown():
-    assert markdown_table(["a", "b"], [["1", "2"]]) == "| a | b |\n| --- | --- |\n| 1 | 2 |"
 
 
 def test_rows_come_back_from_a_file_with_gaps_empty(tmp_path):

@@ -7,11 +7,16 @@ from deep_curiosity.training import study
 from deep_curiosity.training.records import open_folder
 from deep_curiosity.training.study import (
     Task,
+    markdown_table,
     median_and_range,
     placed,
     run_once,
     run_study,
 )
+
+
+def test_markdown():
+    assert markdown_table(["a", "b"], [["1", "2"]]) == "| a | b |\n| --- | --- |\n| 1 | 2 |"
 
 
 def test_a_study_leaves_table_curves_and_picture_and_repeats_no_run(tiny, tmp_path, monkeypatch):
