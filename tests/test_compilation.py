@@ -91,6 +91,31 @@ for _ in range(5):
 print(scaled)
 """
 
+SETTLED = """
+import torch
+from torch._dynamo.utils import counters
+from deep_curiosity.compilation import compiled
+
+class Sum:
+    def __init__(self):
+        self.total = torch.zeros(2)
+
+    def add(self, value, *, twice):
+        self.total.add_(2 * value if twice else value)
+        return self.total + 0
+
+add = compiled(Sum().add)
+for _ in range(4):
+    add(torch.ones(2), twice=True)
+torch._dynamo.reset()  # what is looked up from here on would be made anew
+frames = counters["frames"]["total"]
+print(add(torch.ones(2), twice=True).tolist(), counters["frames"]["total"] - frames)
+try:
+    add(torch.ones(3), twice=True)
+except Exception as error:
+    print("expected size 3==2" in str(error))
+"""
+
 
 def output_of(program):
     """Lines that a program of its own prints."""
@@ -156,3 +181,9 @@ def test_what_cannot_be_compiled_runs_as_it_is_where_that_is_asked_for():
 def test_one_process_compiles_as_many_agents_as_it_likes():
     (scaled,) = output_of(MANY)
     assert scaled == "[0.0, 1.0, 2.0, 3.0, 4.0, 5.0]"
+
+
+def test_a_settled_graph_is_called_without_looking_it_up_and_refuses_other_shapes():
+    total, refused = output_of(SETTLED)
+    assert total == "[10.0, 10.0] 0"
+    assert refused == "True"
