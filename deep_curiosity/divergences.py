@@ -191,12 +191,13 @@ def expected_log_density(
     )
     precision = torch.exp(-component_log_var)
     weighted_loc = component_loc * precision
-    moments = torch.cat([log_var.exp() + loc.square(), loc], dim=-1)
-    slopes = torch.cat([-0.5 * precision, weighted_loc], dim=-1)  # components 2*dim
     offset = -0.5 * (component_log_var + component_loc * weighted_loc + LOG_TWO_PI).sum(-1)
     offset = offset + _log_weight(component_loc, component_log_weight)
-    product = torch.addmm(offset, moments.reshape(-1, moments.shape[-1]), slopes.mT)
-    return product.to(dtype).reshape(*moments.shape[:-1], -1)
+    # the offset is the slope of a moment that is one: to add it would take a pass over all pairs
+    moments = torch.cat([log_var.exp() + loc.square(), loc, torch.ones_like(loc[..., :1])], dim=-1)
+    slopes = torch.cat([-0.5 * precision, weighted_loc, offset.unsqueeze(-1)], dim=-1)
+    product = torch.mm(moments.flatten(0, -2), slopes.mT)
+    return product.to(dtype).unflatten(0, moments.shape[:-1])
 
 
 def _pairwise_information(
