@@ -48,7 +48,7 @@ class GaussianPolicy(nn.Module):
 
     def forward(self, observation: Float[Tensor, "batch observation_dim"]) -> SquashedMixture:
         """Distribution over actions at each observation."""
-        return self.at(self.hidden(observation))
+        return self._mixture(self.network(observation)[0])
 
     def hidden(
         self, observation: Float[Tensor, "batch observation_dim"]
@@ -58,7 +58,9 @@ class GaussianPolicy(nn.Module):
 
     def at(self, hidden: Float[Tensor, "batch hidden_dim"]) -> SquashedMixture:
         """Distribution over actions where the last hidden layer has these activations."""
-        features = self.network.layers[-1](hidden.unsqueeze(0))[0]
+        return self._mixture(self.network.layers[-1](hidden.unsqueeze(0))[0])
+
+    def _mixture(self, features: Float[Tensor, "batch features"]) -> SquashedMixture:
         shape, logits = features.tensor_split([2 * self.modes * self.action_dim], dim=-1)
         loc, raw_log_std = shape.unflatten(-1, (self.modes, -1)).transpose(0, 1).chunk(2, dim=-1)
         log_std = _in_log_std_range(torch.tanh(raw_log_std))

@@ -52,6 +52,8 @@ class NextStateMarginal(nn.Module):
     log_var: Tensor
     log_weight: Tensor
     log_spread: Tensor
+    component_log_var: Tensor
+    """Log variance of every component, bandwidth included, `(components, dim)`."""
     num_seen: Tensor
 
     def __init__(
@@ -82,11 +84,12 @@ class NextStateMarginal(nn.Module):
         self.register_buffer("log_var", torch.zeros(components, dim))
         self.register_buffer("log_weight", torch.full((components,), -math.inf))
         self.register_buffer("log_spread", torch.full((dim,), -math.inf))
+        self.register_buffer("component_log_var", torch.zeros(components, dim), persistent=False)
         self.register_buffer("num_seen", torch.zeros((), dtype=torch.long))
         self.is_empty = True
         """Whether no state has been seen yet."""
         self._num_seen = 0  # the same as a plain number: to read it waits for no device
-        self.register_load_state_dict_post_hook(_recount)
+        self.register_load_state_dict_post_hook(_restore)
 
     @torch.no_grad()
     def refresh(
@@ -103,11 +106,6 @@ class NextStateMarginal(nn.Module):
         self.log_weight[:num_filled] = -math.log(num_filled)
         self._fit_bandwidth(num_filled)
         self.is_empty = False
-
-    @property
-    def component_log_var(self) -> Float[Tensor, "components dim"]:
-        """Log variance of every component, bandwidth included."""
-        return torch.logaddexp(self.log_var, self.log_spread)
 
     def kl_upper(
         self, loc: Float[Tensor, "*batch dim"], log_var: Float[Tensor, "*batch dim"]
@@ -201,6 +199,11 @@ class NextStateMarginal(nn.Module):
         else:
             log_bandwidth = math.log(self.bandwidth)
         self.log_spread.copy_(spread + 2 * log_bandwidth)
+        self._widen()
+
+    def _widen(self) -> None:
+        """Widen all components by the bandwidth, once for all questions up to the next refresh."""
+        self.component_log_var.copy_(torch.logaddexp(self.log_var, self.log_spread))
 
     def _log_bandwidth_at_target(self, spread: Tensor) -> float:
         """Bisect `log h`: the perplexity grows with it."""
@@ -215,9 +218,10 @@ class NextStateMarginal(nn.Module):
         return 0.5 * (low + high)
 
 
-def _recount(marginal: NextStateMarginal, _: object) -> None:
+def _restore(marginal: NextStateMarginal, _: object) -> None:
     marginal._num_seen = int(marginal.num_seen)
     marginal.is_empty = marginal._num_seen == 0
+    marginal._widen()
 
 
 def silverman_log_bandwidth(num_points: int, dim: int) -> float:

@@ -69,7 +69,7 @@ class StackedMLP(nn.Module):
     ) -> Float[Tensor, "members batch hidden_dim"]:
         """What the last layer is told: the activations before it."""
         if value.ndim == 2:
-            value = value.expand(self.members, -1, -1)
+            value = value.repeat(self.members, 1, 1)  # a product would copy what is expanded
         for layer in self.layers[:-1]:
             value = torch.relu(layer(value))
         return value

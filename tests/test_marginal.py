@@ -109,8 +109,8 @@ def test_tuned_bandwidth_hits_its_target_perplexity(target, dim):
 
 def test_perplexity_of_components_far_apart_is_one():
     marginal = NextStateMarginal(1, components=8, bandwidth=HOLES)
-    marginal.refresh(*numbered(0, 8))
-    marginal.log_var.fill_(-9.0)
+    loc, log_var = numbered(0, 8)
+    marginal.refresh(loc, torch.full_like(log_var, -9.0))
     assert marginal.perplexity().item() == pytest.approx(1, abs=1e-4)
 
 
@@ -174,9 +174,10 @@ def test_all_state_is_in_the_state_dict():
     marginal, copy = (NextStateMarginal(1, components=8) for _ in range(2))
     marginal.refresh(*numbered(0, 11))
     copy.load_state_dict(marginal.state_dict())
+    probe = torch.randn(5, 1), torch.randn(5, 1)
+    assert copy.kl_upper(*probe).equal(marginal.kl_upper(*probe))
     for one in (marginal, copy):
         one.refresh(*numbered(11, 14))
-    probe = torch.randn(5, 1), torch.randn(5, 1)
     assert copy.kl_upper(*probe).equal(marginal.kl_upper(*probe))
     assert held(copy) == list(range(6, 14))
 
