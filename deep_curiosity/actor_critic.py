@@ -48,6 +48,7 @@ class GaussianPolicy(nn.Module):
 
     def forward(self, observation: Float[Tensor, "batch observation_dim"]) -> SquashedMixture:
         """Distribution over actions at each observation."""
+        # not by way of `at`: a product would copy activations that have lost their leading axis
         return self._mixture(self.network(observation)[0])
 
     def hidden(
