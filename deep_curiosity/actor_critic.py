@@ -85,21 +85,24 @@ class Reflex:
         if policy.modes != 1:
             raise ValueError(f"`policy` must have one mode, got {policy.modes}.")
         self._layers = [
-            tuple(parameter.detach()[0].numpy() for parameter in layer.parameters())
-            for layer in policy.network.layers
+            (weight.detach()[0].numpy(), bias.detach()[0, 0].numpy())
+            for weight, bias in (layer.parameters() for layer in policy.network.layers)
         ]
+        self._outputs = [np.empty_like(bias) for _, bias in self._layers]
 
     def act(
         self, observation: Float32[np.ndarray, " observation_dim"], noise: np.ndarray
     ) -> Float32[np.ndarray, " action_dim"]:
         """Action in [-1, 1] for standard normal `noise`, one number for each action dimension."""
         value = observation
-        for weight, bias in self._layers[:-1]:
-            value = np.maximum(value @ weight + bias[0], 0)
-        weight, bias = self._layers[-1]
-        loc, raw_log_std = np.split(value @ weight + bias[0], 2)
-        log_std = _in_log_std_range(np.tanh(raw_log_std))
-        action: np.ndarray = np.tanh(loc + np.exp(log_std) * noise)
+        for (weight, bias), output in zip(self._layers, self._outputs, strict=True):
+            if value is not observation:
+                np.maximum(value, 0, out=value)
+            value = np.dot(value, weight, out=output)
+            value += bias
+        action_dim = len(noise)
+        log_std = _in_log_std_range(np.tanh(value[action_dim:]))
+        action: np.ndarray = np.tanh(value[:action_dim] + np.exp(log_std) * noise)
         return action
 
 

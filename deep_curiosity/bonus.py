@@ -48,6 +48,16 @@ class Bonus(nn.Module, ABC):
     def observe(self, transition: Transition, policy: Policy | None = None) -> None:
         """Update statistics from a batch; `policy` draws what it would do now."""
 
+    def passes(self) -> bool:
+        """Whether the next batch would leave no trace in `observe`; it is then counted as seen.
+
+        A loop that has work to make a batch ready may ask before each::
+
+            if not bonus.passes():
+                bonus.observe(batch(), policy)
+        """
+        return False
+
     @abstractmethod
     def metrics(self) -> dict[str, Tensor]:
         """What to log: a flat dictionary of detached 0-d tensors."""

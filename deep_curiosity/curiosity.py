@@ -242,6 +242,10 @@ class CuriosityBonus(Bonus):
                 self._tune_weight(self.tuned_weight, fresh)
         self.pace.count()
 
+    def passes(self) -> bool:
+        """Whether the next batch would only be counted, and then count it."""
+        return self.pace.passes()
+
     def decompose(
         self,
         observation: Float[Tensor, "batch observation_dim"],

@@ -25,6 +25,13 @@ class Pace(nn.Module):
         """Whether the call in progress is one that does something."""
         return self._num_calls % self.interval == 0
 
+    def passes(self) -> bool:
+        """Count the call in progress where it is not due; say whether it was counted."""
+        if self.is_due:
+            return False
+        self.count()
+        return True
+
     def count(self) -> None:
         """Note that a call has ended well."""
         self._num_calls += 1

@@ -70,16 +70,17 @@ class ReplayBuffer:
         Raises:
             ValueError: If a shape is wrong or a value is NaN or infinite; nothing is then stored.
         """
-        fields = {
-            "observation": (observation, self.observation_dim),
-            "action": (action, self.action_dim),
-            "reward": (reward, 1),
-            "next_observation": (next_observation, self.observation_dim),
-        }
-        parts = [_finite_vector(name, *field) for name, field in fields.items()]
-        row = np.concatenate([*parts, np.array([terminated, truncated], np.float32)])
+        fields = observation, action, reward, next_observation, terminated, truncated
+        with np.errstate(over="ignore"):  # what is too large becomes infinite, and is refused
+            row = np.concatenate(fields, axis=None, dtype=np.float32, casting="unsafe")
+        if [*map(np.size, fields)] != self._widths or not np.isfinite(row).all():
+            for name, value, width in zip(Transition._fields, fields, self._widths, strict=True):
+                _check_vector(name, value, width)
         slot = self._num_added % self.capacity
-        self._rows[slot].copy_(torch.from_numpy(row), non_blocking=True)
+        if self._rows.is_cpu:
+            self._rows.numpy()[slot] = row  # half the price of going through torch
+        else:
+            self._rows[slot].copy_(torch.from_numpy(row), non_blocking=True)
         self._num_added += 1
 
     def extend(
@@ -117,8 +118,16 @@ class ReplayBuffer:
         Raises:
             ValueError: If the buffer is empty or `batch_size` is below 1.
         """
+        return self.transition(self.sample_rows(batch_size))
+
+    def sample_rows(self, batch_size: int) -> Float[Tensor, "batch row"]:
+        """The same as it lies in memory, for `transition` to take apart: in a graph, for nothing.
+
+        Raises:
+            ValueError: If the buffer is empty or `batch_size` is below 1.
+        """
         self._check_draw(batch_size=batch_size)
-        return self._at(self._draw(len(self), batch_size))
+        return self._rows.index_select(0, self._draw(len(self), batch_size))
 
     def sample_sequences(self, batch_size: int, num_steps: int, *, stride: int = 1) -> Sequences:
         """Draw transitions as `sample` does, each with those that followed it.
@@ -184,7 +193,7 @@ class ReplayBuffer:
         """Every transition held, oldest first."""
         split = self._num_added % self.capacity if self._num_added > self.capacity else 0
         held = self._rows[: len(self)]
-        return self._transition(torch.cat([held[split:], held[:split]]))
+        return self.transition(torch.cat([held[split:], held[:split]]))
 
     def state_dict(self) -> dict[str, Any]:
         """Rows held and the state of the generator."""
@@ -289,9 +298,10 @@ class ReplayBuffer:
 
     def _at(self, slot: Int[Tensor, " batch"]) -> Transition:
         """The transitions in some slots."""
-        return self._transition(self._rows.index_select(0, slot))
+        return self.transition(self._rows.index_select(0, slot))
 
-    def _transition(self, rows: Float[Tensor, "batch row"]) -> Transition:
+    def transition(self, rows: Float[Tensor, "batch row"]) -> Transition:
+        """Fields of rows that were sampled, as views of them."""
         observation, action, reward, next_observation, terminated, truncated = rows.split(
             self._widths, dim=-1
         )
@@ -305,14 +315,13 @@ class ReplayBuffer:
         )
 
 
-def _finite_vector(name: str, value: Vector, dim: int) -> np.ndarray:
-    with np.errstate(over="ignore"):  # what is too large becomes infinite, and is told below
+def _check_vector(name: str, value: Vector, dim: int) -> None:
+    with np.errstate(over="ignore"):
         vector = np.asarray(value, dtype=np.float32).reshape(-1)
     if vector.shape != (dim,):
         raise ValueError(f"`{name}` must have {dim} entries, got {vector.shape[0]}.")
     if not np.isfinite(vector).all():
         raise ValueError(f"`{name}` must be finite, got {vector.tolist()}.")
-    return vector
 
 
 def _finite_rows(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:

@@ -1,5 +1,7 @@
 """Laws that every bonus obeys."""
 
+from copy import deepcopy
+
 import pytest
 import torch
 
@@ -203,3 +205,19 @@ def test_what_is_not_finite_is_rejected_and_changes_nothing(bonus, field):
             method(broken)
     after = bonus.state_dict()
     assert all(after[name].nan_to_num().equal(before[name].nan_to_num()) for name in before)
+
+
+def test_a_batch_that_passes_would_have_left_no_trace(make):
+    bonus = make()
+    asked = deepcopy(bonus)
+    num_shown = 0
+    for _ in range(7):
+        transition = random_transition()
+        bonus.observe(transition)
+        if not asked.passes():
+            asked.observe(transition)
+            num_shown += 1
+        state, other = bonus.state_dict(), asked.state_dict()
+        torch.testing.assert_close(state, other, rtol=0, atol=0, equal_nan=True)
+    interval = bonus.pace.interval if hasattr(bonus, "pace") else 7
+    assert num_shown == (0 if isinstance(bonus, ConstantBonus) else -(-7 // interval))

@@ -43,6 +43,13 @@ def test_a_step_comes_out_as_it_went_in():
     assert batch.terminated.dtype == torch.bool and batch.reward.dtype == torch.float32
 
 
+def test_rows_taken_apart_are_the_transitions_that_would_have_been_drawn():
+    one, other = filled(8), filled(8)
+    assert equal(one.transition(one.sample_rows(20)), other.sample(20))
+    with pytest.raises(ValueError, match="must hold a transition"):
+        ReplayBuffer(4, 3, 2).sample_rows(1)
+
+
 @pytest.mark.parametrize("terminated", [False, True])
 @pytest.mark.parametrize("truncated", [False, True])
 def test_the_two_ends_of_an_episode_are_kept_apart(terminated, truncated):
@@ -152,6 +159,13 @@ def test_a_wrong_length_is_rejected_and_not_stored(name):
     replay = filled(2)
     with pytest.raises(ValueError, match=f"`{name}` must have . entries, got 5"):
         replay.add(**GOOD | {name: np.zeros(5)})
+    assert len(replay) == 2
+
+
+def test_lengths_that_are_wrong_together_are_rejected_though_the_row_is_full():
+    replay = filled(2)
+    with pytest.raises(ValueError, match="`observation` must have 3 entries, got 2"):
+        replay.add(**GOOD | {"observation": np.zeros(2), "next_observation": np.zeros(4)})
     assert len(replay) == 2
 
 

@@ -62,10 +62,11 @@ class OurAgent:
         self.learner = Learner(settings, observation_dim(environment), action_dim(environment))
         self._stopwatch = Stopwatch()
         learner, watch = self.learner, self._stopwatch.watch
+        watch(learner, "turn", "acting")
         watch(learner, "act", "acting")
         watch(self.collector, "step", "environment")
         watch(learner, "store", "storing")
-        watch(learner.replay, "sample", "sampling")
+        watch(learner, "_sample", "sampling")
         watch(learner, "_learn", "learning")
         watch(learner, "update", "update")
         if not should_compile(settings):  # a graph cannot be looked into
@@ -87,9 +88,11 @@ class OurAgent:
     def step(self, num_steps: int) -> None:
         """Take environment steps, each followed by one update."""
         self._stopwatch.seconds.clear()
-        for _ in range(num_steps):
-            action = self.learner.act(self.collector.observation)
-            step, _ = self.collector.step(action)
+        collector = self.collector
+        for number in range(num_steps):
+            self.learner.turn(number, collector.observation, collector.present_info)
+            action = self.learner.act(collector.observation)
+            step, _ = collector.step(action)
             self.learner.store(step)
             self.learner.update()
         wait_for(self.learner.settings.device)

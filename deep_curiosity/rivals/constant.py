@@ -37,6 +37,10 @@ class ConstantBonus(Bonus):
     def observe(self, transition: Transition, policy: Policy | None = None) -> None:
         """Nothing to keep."""
 
+    def passes(self) -> bool:
+        """Always: there is nothing to see."""
+        return True
+
     def metrics(self) -> dict[str, Tensor]:
         """Nothing to log."""
         return {}

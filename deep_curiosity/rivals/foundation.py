@@ -98,6 +98,10 @@ class RivalBonus(Bonus):
             self.standardization.update(self.score(observation, action, next_observation))
         self.pace.count()
 
+    def passes(self) -> bool:
+        """Whether the next batch would only be counted, and then count it."""
+        return self.pace.passes()
+
     def metrics(self) -> dict[str, Tensor]:
         """Running mean and standard deviation of the score, in its own unit."""
         moments = self.standardization.moments

@@ -69,7 +69,7 @@ class Scheduled(Keeper):
 
     def hunger(self, step: int, observation: np.ndarray, info: Info) -> np.ndarray:
         """Hunger of this step, once for each world."""
-        return np.full(len(observation), self.schedule(step))
+        return np.array([self.schedule(step)] * len(observation))
 
 
 class Sensed(Keeper):

@@ -81,7 +81,9 @@ class Learner:
         )
         self._temperature = make_temperature_schedule(settings)
         self._hunger = torch.full((settings.num_envs,), self.agent.hunger)
+        self._told_hunger: list[float] = []  # by the keeper, and passed on to the agent
         self._reflex = Reflex(self.agent.policy) if quick else None
+        self._draw = torch.empty(action_dim)  # of the reflex, filled anew for every action
         self._learn = self._learn_eagerly
         if should_compile(settings):
             self._learn = compiled(
@@ -98,9 +100,12 @@ class Learner:
             observation: `(observation_dim,)`, or `(num_envs, observation_dim)`.
             info: What the worlds say with it.
         """
-        hunger = self.keeper.hunger(step, np.atleast_2d(observation), info)
-        self._hunger = torch.as_tensor(hunger, dtype=torch.float32)
-        self.agent.hunger = float(hunger.mean())
+        hunger = self.keeper.hunger(step, observation.reshape(-1, observation.shape[-1]), info)
+        told = hunger.tolist()
+        if told != self._told_hunger:
+            self._told_hunger = told
+            self._hunger = torch.as_tensor(hunger, dtype=torch.float32)
+            self.agent.hunger = float(hunger.mean())
         if self._temperature is not None:
             self.agent.temperature = self._temperature(step)
         ends = self.settings.curiosity_ends
@@ -118,7 +123,7 @@ class Learner:
         if explore_uniformly:
             return (2 * torch.rand(shape) - 1).numpy()
         if self._reflex is not None and observation.ndim == 1:
-            noise = torch.randn(self.agent.action_dim).numpy()
+            noise = self._draw.normal_().numpy()
             seen = observation.astype(np.float32)
             if self.agent.dial:
                 seen = np.append(seen, self._hunger.numpy())
@@ -153,19 +158,26 @@ class Learner:
     def update(self) -> dict[str, Tensor]:
         """One gradient step on the bonus's models and on every part of the agent."""
         batch = self._sample()
-        transition = first_of(batch)
-        if isinstance(self.bonus, CuriosityBonus):
-            self.bonus.observe(transition, self.agent.act, self._visited())
-        elif self.bonus is not None:
-            self.bonus.observe(transition, self.agent.act)
+        if self.bonus is not None and not self.bonus.passes():
+            self._show(self.bonus, first_of(self._in_fields(batch)))
         return self._learn(batch)
 
-    def _sample(self) -> Transition | Sequences:
-        """Transitions, or sequences where more than one step is summed."""
+    def _sample(self) -> Tensor | Sequences:
+        """Rows of transitions, or sequences where more than one step is summed."""
         num_steps, size = max(self.agent.num_steps), self.settings.batch_size
         if num_steps == 1:
-            return self.replay.sample(size)
+            return self.replay.sample_rows(size)
         return self.replay.sample_sequences(size, num_steps, stride=self.settings.num_envs)
+
+    def _in_fields(self, batch: Tensor | Sequences) -> Transition | Sequences:
+        return self.replay.transition(batch) if isinstance(batch, Tensor) else batch
+
+    def _show(self, bonus: Bonus, transition: Transition) -> None:
+        """Let the bonus observe a batch, and the newest transitions where it asks for them."""
+        if isinstance(bonus, CuriosityBonus):
+            bonus.observe(transition, self.agent.act, self._visited())
+        else:
+            bonus.observe(transition, self.agent.act)
 
     def _visited(self) -> Transition | None:
         """What the marginal is formed from, where that is not the batch."""
@@ -176,9 +188,10 @@ class Learner:
             return self.replay.sample_newest(size, window=horizon)
         return self.replay.sample_fading(size, half_life=horizon)
 
-    def _learn_eagerly(self, batch: Transition | Sequences) -> dict[str, Tensor]:
+    def _learn_eagerly(self, drawn: Tensor | Sequences) -> dict[str, Tensor]:
         """The part of an update that can be one graph; returns what to log."""
         metrics = {}
+        batch = self._in_fields(drawn)
         if self.bonus_learner is not None:
             metrics["curiosity/model_loss"] = self.bonus_learner.fit(first_of(batch))
         agent_metrics = self.agent.update(batch, self.bonus)
@@ -211,6 +224,7 @@ class Learner:
         if self.noise is not None:
             self.noise.load_state_dict(state["noise"])
         self.keeper.load_state_dict(state["keeper"])
+        self._told_hunger = []
         self.replay.load_state_dict(state["replay"])
         torch.set_rng_state(state["random"]["cpu"])
         if "cuda" in state["random"]:

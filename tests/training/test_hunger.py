@@ -173,6 +173,16 @@ def test_what_goes_with_time_is_set_before_a_step(tiny):
     assert learner.agent.curiosity_weight == 0.0
 
 
+def test_what_is_restored_is_told_anew_how_hungry_it_is(tiny):
+    learner, hungrier = Learner(tiny, 3, 1), Learner(replace(tiny, hunger=2.0), 3, 1)
+    for each in (learner, hungrier):
+        each.turn(0, np.zeros(3), {})
+    learner.load_state_dict(hungrier.state_dict())
+    assert learner.agent.hunger == 2.0
+    learner.turn(1, np.zeros(3), {})
+    assert learner.agent.hunger == 1.0
+
+
 @pytest.mark.parametrize("num_envs", [1, 2])
 def test_the_policy_acts_as_hungry_as_the_dial_says(tiny, num_envs):
     settings = replace(tiny, hunger_control="dial", num_envs=num_envs)
