@@ -87,6 +87,7 @@ STUDIES = {
             "curiosity, eager": {"compile": "off"},
             "curiosity, all models": {"member_per_row": False},
             "curiosity, nothing spared": NOTHING_SPARED,
+            "curiosity, same time": {"update_to_data": 0.75},  # as the updates spared nothing take
         },
         seeds=12,
     ),
@@ -124,8 +125,9 @@ class Args:
 
     study: Literal["sparse", "control", "savings", "bonuses", "mountain_car", "dense"] = "sparse"
     """PendulumSwingup and PointMaze; the same with a constant for a bonus; the same without
-    compiling, and without part or all of what the default spares; all bonuses, and noises of the
-    actions without one, on four tasks; MountainCarContinuous-v0; HalfCheetah-v5."""
+    compiling, without part or all of what the default spares, and with the time that it spares
+    spent on updates; all bonuses, and noises of the actions without one, on four tasks;
+    MountainCarContinuous-v0; HalfCheetah-v5."""
     seeds: int | None = None
     """Seeds of each agent on each task; by default as many as the study is documented with."""
     runs: Path = Path("runs/study")
