@@ -72,10 +72,10 @@ resident memory of the process. A million transitions of replay take {replay_meg
 
 {rates_table(rows, processes)}
 
-Milliseconds of each part of a step and its update (medians). Acting begins with what is told to the
-agent before it, its hunger. The update is sampling, statistics and learning. Statistics include the
-marginal, which is not renewed at every update: a mean.
-Learning is one graph where compiled; models and agent can be told apart only where it is not.
+Milliseconds of each part of a step and its update (medians). Acting begins with what is told to
+the agent before it, its hunger. The update is sampling, statistics and learning. Statistics
+include the marginal, which is not renewed at every update: a mean. Learning is one graph where
+compiled; models and agent can be told apart only where it is not.
 
 {parts_table(rows)}
 
