@@ -87,7 +87,7 @@ def _with_code(function: FunctionType, code: CodeType) -> FunctionType:
 def _traced(graph: Callable[..., Output], *args: Any, **kwargs: Any) -> Output:
     """Call with gradients allowed inside the graph, an option that torch keeps off by default.
 
-    What torch would otherwise note for profilers at every call takes a fiftieth of a millisecond.
+    What torch would otherwise note for profilers at every call takes a thirtieth of a millisecond.
     """
     from torch._dynamo import config  # loaded on request: it takes seconds
 

@@ -229,17 +229,18 @@ class CuriosityBonus(Bonus):
             ValueError: If a field has the wrong shape or holds NaN or infinity. The statistics
                 are then as before.
         """
-        if self.pace.is_due:
-            self._check_transition(transition)
-            fresh = transition if visited is None else visited
-            if policy is not None:
-                fresh = fresh._replace(action=policy(fresh.observation))
-            if fresh is not transition:
-                self._check_transition(fresh)
-            self.dynamics.observe(transition)
-            self._refresh(transition, fresh)
-            if self.tuned_weight is not None and policy is not None:
-                self._tune_weight(self.tuned_weight, fresh)
+        if self.passes():
+            return
+        self._check_transition(transition)
+        fresh = transition if visited is None else visited
+        if policy is not None:
+            fresh = fresh._replace(action=policy(fresh.observation))
+        if fresh is not transition:
+            self._check_transition(fresh)
+        self.dynamics.observe(transition)
+        self._refresh(transition, fresh)
+        if self.tuned_weight is not None and policy is not None:
+            self._tune_weight(self.tuned_weight, fresh)
         self.pace.count()
 
     def passes(self) -> bool:

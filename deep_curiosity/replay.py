@@ -129,6 +129,20 @@ class ReplayBuffer:
         self._check_draw(batch_size=batch_size)
         return self._rows.index_select(0, self._draw(len(self), batch_size))
 
+    def transition(self, rows: Float[Tensor, "batch row"]) -> Transition:
+        """Fields of rows that were sampled, as views of them."""
+        observation, action, reward, next_observation, terminated, truncated = rows.split(
+            self._widths, dim=-1
+        )
+        return Transition(
+            observation=observation,
+            action=action,
+            reward=reward.squeeze(-1),
+            next_observation=next_observation,
+            terminated=terminated.squeeze(-1) > 0,
+            truncated=truncated.squeeze(-1) > 0,
+        )
+
     def sample_sequences(self, batch_size: int, num_steps: int, *, stride: int = 1) -> Sequences:
         """Draw transitions as `sample` does, each with those that followed it.
 
@@ -299,20 +313,6 @@ class ReplayBuffer:
     def _at(self, slot: Int[Tensor, " batch"]) -> Transition:
         """The transitions in some slots."""
         return self.transition(self._rows.index_select(0, slot))
-
-    def transition(self, rows: Float[Tensor, "batch row"]) -> Transition:
-        """Fields of rows that were sampled, as views of them."""
-        observation, action, reward, next_observation, terminated, truncated = rows.split(
-            self._widths, dim=-1
-        )
-        return Transition(
-            observation=observation,
-            action=action,
-            reward=reward.squeeze(-1),
-            next_observation=next_observation,
-            terminated=terminated.squeeze(-1) > 0,
-            truncated=truncated.squeeze(-1) > 0,
-        )
 
 
 def _check_vector(name: str, value: Vector, dim: int) -> None:

@@ -90,12 +90,13 @@ class RivalBonus(Bonus):
             ValueError: If a field has the wrong shape or holds NaN or infinity. The statistics
                 are then as before.
         """
-        if self.pace.is_due:
-            self._check(transition)
-            self.observation_moments.update(transition.observation)
-            self.remember(transition, policy)
-            observation, action, _, next_observation, *_ = transition
-            self.standardization.update(self.score(observation, action, next_observation))
+        if self.passes():
+            return
+        self._check(transition)
+        self.observation_moments.update(transition.observation)
+        self.remember(transition, policy)
+        observation, action, _, next_observation, *_ = transition
+        self.standardization.update(self.score(observation, action, next_observation))
         self.pace.count()
 
     def passes(self) -> bool:

@@ -83,7 +83,7 @@ class Learner:
         self._hunger = torch.full((settings.num_envs,), self.agent.hunger)
         self._told_hunger: list[float] = []  # by the keeper, and passed on to the agent
         self._reflex = Reflex(self.agent.policy) if quick else None
-        self._draw = torch.empty(action_dim)  # of the reflex, filled anew for every action
+        self._reflex_noise = torch.empty(action_dim)  # drawn anew for every action
         self._learn = self._learn_eagerly
         if should_compile(settings):
             self._learn = compiled(
@@ -123,7 +123,7 @@ class Learner:
         if explore_uniformly:
             return (2 * torch.rand(shape) - 1).numpy()
         if self._reflex is not None and observation.ndim == 1:
-            noise = self._draw.normal_().numpy()
+            noise = self._reflex_noise.normal_().numpy()
             seen = observation.astype(np.float32)
             if self.agent.dial:
                 seen = np.append(seen, self._hunger.numpy())
