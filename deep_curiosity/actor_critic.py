@@ -9,7 +9,7 @@ from jaxtyping import Float, Float32
 from torch import Tensor, nn
 
 from deep_curiosity.distributions import SquashedMixture
-from deep_curiosity.networks import StackedMLP, log_softmax_of_rest
+from deep_curiosity.networks import StackedMLP, log_softmax_of_rest, rows_in_turn
 from deep_curiosity.transitions import check_counts
 
 Value = TypeVar("Value", Tensor, np.ndarray)
@@ -150,3 +150,15 @@ class Critics(nn.Module):
     ) -> Float[Tensor, "pairs batch"]:
         """The smaller estimate of every value, against overestimation (Fujimoto et al., 2018)."""
         return self(observation, action).amin(1)
+
+    def in_turn(
+        self,
+        observation: Float[Tensor, "batch observation_dim"],
+        action: Float[Tensor, "batch action_dim"],
+    ) -> Float[Tensor, "pairs batch"]:
+        """One estimate of every value: row `r` asks critic `r % 2`, for half of what both cost."""
+        pair = torch.cat([observation, action], dim=-1)
+        row, _ = rows_in_turn(len(pair), 2, pair.device)
+        in_turn = self.network(pair[row].repeat(self.pairs, 1, 1)).squeeze(-1)  # critics turns
+        in_order = in_turn.unflatten(0, (self.pairs, 2)).transpose(1, 2).flatten(1)
+        return in_order[:, : len(pair)]

@@ -96,6 +96,10 @@ class CuriousActorCritic(nn.Module):
         actor_stride: Policy, prior and temperature learn from one in as many transitions of a
             batch, the critics from them all. Their gradient stays right on average and costs as
             many times less.
+        critic_per_row: Let the policy climb one critic of each pair at each transition, in turn,
+            for half of what both cost; otherwise the smaller of both, as soft actor-critic does.
+            What critics learn from is always the smaller. Fujimoto et al., "Addressing Function
+            Approximation Error in Actor-Critic Methods" (2018), let the policy climb one critic.
         polyak: Share of the critics that moves into the target critics at each update.
 
     Raises:
@@ -134,6 +138,7 @@ class CuriousActorCritic(nn.Module):
         soft_backup: bool | None = None,
         learning_rate: float = 3e-4,
         actor_stride: int = 1,
+        critic_per_row: bool = False,
         polyak: float = 0.005,
     ) -> None:
         super().__init__()
@@ -165,6 +170,7 @@ class CuriousActorCritic(nn.Module):
             )
         self.target_information_rate = target_information_rate
         self.actor_stride = actor_stride
+        self.critic_per_row = critic_per_row
         self.polyak = polyak
 
         has_curiosity_critic = curiosity and curiosity_discount > 0
@@ -481,7 +487,8 @@ class CuriousActorCritic(nn.Module):
         modes, batch, _ = action.shape
         seen = self.seen(observation, hunger).repeat(modes, 1)
         observation, action = observation.repeat(modes, 1), action.flatten(0, 1)
-        value = self.critics.lower(seen, action).unflatten(-1, (modes, batch))
+        ask = self.critics.in_turn if self.critic_per_row else self.critics.lower
+        value = ask(seen, action).unflatten(-1, (modes, batch))
         if self._has_curiosity_critic:
             curiosity_value = value[1]
         elif bonus is not None:

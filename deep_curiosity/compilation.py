@@ -119,7 +119,12 @@ def _unchecked(graph: Callable[..., Output]) -> Callable[..., Output]:
 
 
 def _options(device: torch.device) -> dict[str, Any]:
-    options: dict[str, Any] = {"fallback_random": True}
+    from deep_curiosity.deduplication import Deduplication  # on request: torch's compiler is big
+
+    options: dict[str, Any] = {
+        "fallback_random": True,
+        "post_grad_custom_pre_pass": Deduplication(),
+    }
     if device.type == "cuda":
         return options | {
             "triton.cudagraphs": True,

@@ -11,9 +11,9 @@ from torch import Tensor
 from deep_curiosity.bonus import Bonus, Policy
 from deep_curiosity.distributions import drawn, gaussian_log_prob
 from deep_curiosity.divergences import jensen_shannon_lower, jensen_shannon_upper
-from deep_curiosity.dynamics import DynamicsEnsemble, Features, Prediction, rows_in_turn
+from deep_curiosity.dynamics import DynamicsEnsemble, Features, Prediction
 from deep_curiosity.marginal import NextStateMarginal
-from deep_curiosity.networks import frozen
+from deep_curiosity.networks import frozen, rows_in_turn
 from deep_curiosity.normalization import Standardization
 from deep_curiosity.pace import Pace
 from deep_curiosity.parts import (

@@ -5,13 +5,13 @@ from collections.abc import Callable, Sequence
 from typing import Literal, NamedTuple
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn.functional import softplus
 
 from deep_curiosity.distributions import gaussian_log_prob
 from deep_curiosity.hashing import HASH_FACTOR, HASH_OFFSET, scrambled
-from deep_curiosity.networks import StackedMLP, log_softmax_of_rest
+from deep_curiosity.networks import StackedMLP, log_softmax_of_rest, rows_in_turn
 from deep_curiosity.normalization import WHITENINGS
 from deep_curiosity.transitions import Transition, check_counts, check_finite
 
@@ -260,20 +260,6 @@ def count_features(features: Features, observation_dim: int) -> int:
             f"got {tuple(value.shape)}."
         )
     return value.shape[1]
-
-
-def rows_in_turn(
-    num_rows: int, members: int, device: torch.device
-) -> tuple[Int[Tensor, "members turns"], Bool[Tensor, "members turns"]]:
-    """Share rows out among members: row `r` is for member `r % members`.
-
-    Returns:
-        The rows of each member, the last ones repeating the first where the division leaves a
-        rest, and whether each entry is no such repetition.
-    """
-    turns = torch.arange(-(-num_rows // members), device=device)
-    row = torch.arange(members, device=device).unsqueeze(1) + members * turns
-    return row % num_rows, row < num_rows
 
 
 def _negative_log_likelihood(

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from itertools import pairwise
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
@@ -73,6 +73,20 @@ class StackedMLP(nn.Module):
         for layer in self.layers[:-1]:
             value = torch.relu(layer(value))
         return value
+
+
+def rows_in_turn(
+    num_rows: int, members: int, device: torch.device
+) -> tuple[Int[Tensor, "members turns"], Bool[Tensor, "members turns"]]:
+    """Share rows out among members: row `r` is for member `r % members`.
+
+    Returns:
+        The rows of each member, the last ones repeating the first where the division leaves a
+        rest, and whether each entry is no such repetition.
+    """
+    turns = torch.arange(-(-num_rows // members), device=device)
+    row = torch.arange(members, device=device).unsqueeze(1) + members * turns
+    return row % num_rows, row < num_rows
 
 
 def log_softmax_of_rest(

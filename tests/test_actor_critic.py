@@ -64,6 +64,15 @@ def test_lower_value_is_the_smaller_of_each_pair():
     assert 0 < (expected == value[:, 0]).float().mean() < 1  # neither estimate always wins
 
 
+@pytest.mark.parametrize("rows", [1, 6, 7])
+def test_in_turn_each_row_asks_one_critic_of_each_pair(rows):
+    critics = Critics(3, 2, pairs=2, hidden_dims=(8,))
+    observation, action = torch.randn(rows, 3), torch.randn(rows, 2)
+    both = critics(observation, action)  # pairs 2 rows
+    expected = torch.stack([both[:, row % 2, row] for row in range(rows)], dim=-1)
+    torch.testing.assert_close(critics.in_turn(observation, action), expected)
+
+
 def test_values_see_observation_and_action():
     critics = Critics(3, 2, hidden_dims=(8,))
     observation = torch.randn(5, 3, requires_grad=True)

@@ -125,11 +125,16 @@ def soft_actor_critic_critic_loss(agent, batch, noise):
     return 0.5 * half(first, target) + 0.5 * half(second, target)
 
 
-def soft_actor_critic_policy_loss(agent, critics, batch, noise):
+def soft_actor_critic_policy_loss(agent, critics, batch, noise, climbed=torch.min):
     """The same, equation (7)."""
     action, log_prob = soft_actor_critic_policy(agent, batch.observation, noise)
     first, second = critics(batch.observation, action)[0]
-    return (TEMPERATURE * log_prob - torch.min(first, second)).mean(), log_prob
+    return (TEMPERATURE * log_prob - climbed(first, second)).mean(), log_prob
+
+
+def in_turn(first, second):
+    """Even rows of the one, odd rows of the other."""
+    return torch.where(torch.arange(len(first)) % 2 == 0, first, second)
 
 
 def updated_pair(**options):
@@ -180,6 +185,24 @@ def test_with_a_stride_the_actor_learns_from_the_rows_it_takes_and_the_critics_f
     assert_gradients(agent, "policy", before.policy.parameters(), atol=1e-6)
     before.log_temperature.grad = -(log_prob - 2.0).mean().detach()
     assert_gradients(agent, "temperature", [before.log_temperature], atol=1e-6)
+
+
+def test_with_a_critic_per_row_the_actor_climbs_one_and_the_critics_learn_from_the_smaller(noise):
+    before, agent, batch = updated_pair(critic_per_row=True)
+    metrics = agent.update(batch)
+    evaluation = soft_actor_critic_critic_loss(before, batch, noise[0])
+    assert metrics["critic_loss"].item() == pytest.approx(evaluation.item(), abs=1e-6)
+
+    improvement, _ = soft_actor_critic_policy_loss(
+        before,
+        agent.critics,
+        batch,
+        noise[1],
+        climbed=in_turn,
+    )
+    assert metrics["policy_loss"].item() == pytest.approx(improvement.item(), abs=1e-6)
+    improvement.backward()
+    assert_gradients(agent, "policy", before.policy.parameters(), atol=1e-6)
 
 
 def test_with_a_stride_every_row_keeps_its_own_hunger():

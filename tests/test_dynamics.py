@@ -5,7 +5,7 @@ import torch
 from torch.distributions import Normal
 
 from deep_curiosity import dynamics
-from deep_curiosity.dynamics import DynamicsEnsemble, is_held_out, rows_in_turn, soft_clamp
+from deep_curiosity.dynamics import DynamicsEnsemble, is_held_out, soft_clamp
 from deep_curiosity.transitions import Transition
 
 
@@ -378,13 +378,6 @@ def test_a_calibrated_mixture_covers_ninety_percent(gamblers):
 def test_outcomes_begin_apart():
     loc = small_ensemble(outcomes=3)(torch.zeros(4, 3), torch.zeros(4, 2)).loc
     assert (loc[:, :, 0] - loc[:, :, 2]).abs().mean() > 1
-
-
-@pytest.mark.parametrize("num_rows", [1, 2, 6, 7])
-def test_rows_in_turn_are_each_for_one_member(num_rows):
-    row, once = rows_in_turn(num_rows, 3, torch.device("cpu"))
-    assert sorted(row[once].tolist()) == list(range(num_rows))
-    assert all((row[member, once[member]] % 3 == member).all() for member in range(3))
 
 
 def test_with_a_member_per_row_each_member_learns_from_its_own_rows(monkeypatch):

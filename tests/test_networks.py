@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import nn
 
-from deep_curiosity.networks import StackedLinear, StackedMLP, frozen
+from deep_curiosity.networks import StackedLinear, StackedMLP, frozen, rows_in_turn
 
 
 def member_as_sequential(network, member):
@@ -55,6 +55,13 @@ def test_gradients_reach_every_parameter():
     for parameter in network.parameters():
         gradient_of_member = parameter.grad.flatten(1).abs().sum(1)
         assert (gradient_of_member > 0).all()
+
+
+@pytest.mark.parametrize("num_rows", [1, 2, 6, 7])
+def test_rows_in_turn_are_each_for_one_member(num_rows):
+    row, once = rows_in_turn(num_rows, 3, torch.device("cpu"))
+    assert sorted(row[once].tolist()) == list(range(num_rows))
+    assert all((row[member, once[member]] % 3 == member).all() for member in range(3))
 
 
 def test_a_frozen_module_passes_gradients_but_keeps_none():

@@ -8,6 +8,7 @@ import math
 from collections.abc import Sequence
 from itertools import pairwise
 
+from deep_curiosity.training.machine import should_compile
 from deep_curiosity.training.settings import Settings
 
 
@@ -54,7 +55,10 @@ def update_operations(
     target = forward(batch, policy) + critics * forward(batch, critic)
     evaluation = critics * fit(batch, critic)
     thinned = math.ceil(batch / settings.actor_stride)
-    improvement = fit(thinned, policy) + critics * climb(modes * thinned, critic, action_dim)
+    climbed = modes * thinned  # by each critic
+    if settings.critic_per_row:
+        climbed = math.ceil(climbed / 2)
+    improvement = fit(thinned, policy) + critics * climb(climbed, critic, action_dim)
     agent = float(target + evaluation + improvement)
     if settings.bonus != "curiosity":
         return {"agent": agent}
@@ -64,11 +68,13 @@ def update_operations(
     in_turn = math.ceil(batch / members)  # rows of each member, where a row has one
     rows = in_turn if settings.member_per_row else batch
 
+    prediction = members * forward(rows, model)
     densities = members * forward(rows * outcomes, [2 * observation_dim, components])
-    bonus = members * forward(rows, model) + densities
-    refresh = forward(batch, policy) + members * forward(in_turn, model) + bonus
+    refresh = forward(batch, policy) + members * forward(in_turn, model) + prediction + densities
+    # a graph has the bonus's predictions from the pass by which the models learn
+    asked = densities if should_compile(settings) else prediction + densities
     return {
-        "agent": agent + bonus,
+        "agent": agent + asked,
         "models": float(members * fit(rows, model)),
         "statistics": refresh / settings.refresh_interval,
     }

@@ -190,12 +190,12 @@ class Learner:
 
     def _learn_eagerly(self, drawn: Tensor | Sequences) -> dict[str, Tensor]:
         """The part of an update that can be one graph; returns what to log."""
-        metrics = {}
         batch = self._in_fields(drawn)
-        if self.bonus_learner is not None:
-            metrics["curiosity/model_loss"] = self.bonus_learner.fit(first_of(batch))
         agent_metrics = self.agent.update(batch, self.bonus)
-        return metrics | {f"agent/{name}": value for name, value in agent_metrics.items()}
+        metrics = {f"agent/{name}": value for name, value in agent_metrics.items()}
+        if self.bonus_learner is not None:  # after it was asked: one pass through its models does
+            metrics["curiosity/model_loss"] = self.bonus_learner.fit(first_of(batch))
+        return metrics
 
     def diagnostics(self) -> dict[str, Tensor]:
         """What agent and bonus say of themselves; costs a few milliseconds."""
@@ -271,6 +271,7 @@ def make_agent(settings: Settings, observation_dim: int, action_dim: int) -> Cur
         target_information_rate=settings.target_information_rate,
         learning_rate=settings.learning_rate,
         actor_stride=settings.actor_stride,
+        critic_per_row=settings.critic_per_row,
         polyak=settings.polyak,
     )
 

@@ -11,7 +11,11 @@ from deep_curiosity.bonuses import BONUSES
 
 SCORES_OUTCOMES = [name for name, kind in BONUSES.items() if kind.scores_outcomes]
 """Bonuses that are told what has happened, and cannot be climbed by the action."""
-NOTHING_SPARED: dict[str, Any] = {"member_per_row": False, "actor_stride": 1}
+NOTHING_SPARED: dict[str, Any] = {
+    "member_per_row": False,
+    "actor_stride": 1,
+    "critic_per_row": False,
+}
 """Settings by which every network learns from the whole of every batch."""
 
 
@@ -114,6 +118,9 @@ class Settings:
     actor_stride: int = 2
     """Policy, prior and temperature learn from one in as many transitions of a batch; critics and
     models from them all."""
+    critic_per_row: bool = True
+    """Let the policy climb one critic of each pair at each transition, in turn, instead of the
+    smaller of both; critics learn from the smaller either way."""
     hidden_dim: int = 256
     """Width of the two hidden layers of policy, critics and models."""
     policy_modes: int = 1

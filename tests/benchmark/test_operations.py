@@ -16,6 +16,7 @@ SMALL = Settings(
     members=2,
     components=5,
     refresh_interval=10,
+    compile="off",
     **NOTHING_SPARED,
 )
 # products: policy 3-4-4-4 has 44, critic 5-4-4-1 has 40, model 5-4-4-6 has 60
@@ -56,6 +57,23 @@ def test_a_member_for_each_row_costs_as_one_member():
     all_members = update_operations(SMALL, 3, 2)
     assert all_members["agent"] - shared["agent"] == 20 * 60 + 20 * 6 * 5
     assert shared["models"] == all_members["models"] / 2
+
+
+@pytest.mark.parametrize(("member_per_row", "spared"), [(False, 2 * 20 * 60), (True, 20 * 60)])
+def test_a_graph_needs_no_pass_of_its_own_for_the_bonus(member_per_row, spared):
+    settings = replace(SMALL, member_per_row=member_per_row)
+    eager = update_operations(settings, 3, 2)
+    graph = update_operations(replace(settings, compile="on"), 3, 2)
+    assert eager["agent"] - graph["agent"] == spared
+    assert eager["models"] == graph["models"] and eager["statistics"] == graph["statistics"]
+
+
+def test_a_critic_for_each_row_costs_as_one_critic_of_each_pair():
+    both, one = (
+        update_operations(replace(SMALL, critic_per_row=per_row), 3, 2)["agent"]
+        for per_row in (False, True)
+    )
+    assert both - one == 2 * 20 * (40 + 28)
 
 
 def test_an_actor_that_takes_every_third_row_costs_as_many_rows():

@@ -359,6 +359,7 @@ def unchanged(tiny_settings, tmp_path_factory):
         {"refresh_interval": 1},
         {"batch_size": 16},
         {"actor_stride": 1},
+        {"critic_per_row": False},
         {"hidden_dim": 8},
         {"history": 3},
     ],
