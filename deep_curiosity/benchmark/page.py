@@ -62,11 +62,12 @@ HalfCheetah-v5, batch 256, two layers of 256, one update for every environment s
 transitions in replay. Every contender has a process of its own, and only one computes at a time.
 Stable-Baselines3's SAC (SB3) is taken as its users run it, with torch's own precision of matrix
 products, and with the precision that ours runs with. "Curious" is the default with the learned
-prior. By default the policy learns from every second transition of a batch, and each transition
-trains one model and asks one for its bonus. With "nothing spared" policy and models learn from
-all, as the policy of SB3 does, and all models are asked for every bonus. The first update is
-counted from the start of the process, imports and cold compilation included; memory is the largest
-resident memory of the process. A million transitions of replay take {replay_megabytes():.0f} MB.
+prior. By default the policy learns from every second transition of a batch, where it climbs one
+critic of each pair, and each transition trains one model and asks one for its bonus. With "nothing
+spared" policy and models learn from all, the policy climbs the smaller of two critics, as that of
+SB3 does, and all models are asked for every bonus. The first update is counted from the start of
+the process, imports and cold compilation included; memory is the largest resident memory of the
+process. A million transitions of replay take {replay_megabytes():.0f} MB.
 
 ![Environment steps per second](agents.png)
 
@@ -81,7 +82,8 @@ compiled; models and agent can be told apart only where it is not.
 
 The floor is the time of the update's matrix products, counted from the sizes of the layers
 (`deep_curiosity/benchmark/operations.py`), at the rate of a batched product of four matrices of
-256 x 256, measured in the same process after every turn.
+256 x 256, measured in the same process after every turn. A graph has fewer of them than the same
+update uncompiled: there one pass serves the models' learning and the bonus.
 
 {floor_table(rows)}
 """

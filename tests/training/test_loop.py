@@ -46,7 +46,7 @@ def flat(state, prefix=""):
 
 def learned_weight(settings):
     """First layer of the policy that a short run ends with."""
-    train(replace(settings, total_steps=40), show_progress=False)
+    train(replace(settings, total_steps=30), show_progress=False)
     return load_checkpoint(settings.out)["learner"]["agent"]["policy.network.layers.0.weight"]
 
 
