@@ -46,7 +46,7 @@ def _is_function(target: Any) -> bool:
 
 
 def _hashable(value: Any) -> Any:
-    """Arguments as a key; numbers as they are written, since 1 is 1.0 and 0.0 is -0.0 to Python."""
+    """Arguments as a key; numbers as written, since 1 is 1.0 and 0.0 is -0.0 to Python."""
     if isinstance(value, dict):
         return tuple((name, _hashable(item)) for name, item in value.items())
     if isinstance(value, list | tuple):
