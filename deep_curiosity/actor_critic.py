@@ -9,7 +9,7 @@ from jaxtyping import Float, Float32
 from torch import Tensor, nn
 
 from deep_curiosity.distributions import SquashedMixture
-from deep_curiosity.networks import StackedMLP, log_softmax_of_rest, rows_in_turn
+from deep_curiosity.networks import StackedMLP, in_order, log_softmax_of_rest, rows_in_turn
 from deep_curiosity.transitions import check_counts
 
 Value = TypeVar("Value", Tensor, np.ndarray)
@@ -159,6 +159,5 @@ class Critics(nn.Module):
         """One estimate of every value: row `r` asks critic `r % 2`, for half of what both cost."""
         pair = torch.cat([observation, action], dim=-1)
         row, _ = rows_in_turn(len(pair), 2, pair.device)
-        in_turn = self.network(pair[row].repeat(self.pairs, 1, 1)).squeeze(-1)  # critics turns
-        in_order = in_turn.unflatten(0, (self.pairs, 2)).transpose(1, 2).flatten(1)
-        return in_order[:, : len(pair)]
+        value = self.network(pair[row].repeat(self.pairs, 1, 1)).squeeze(-1)  # critics turns
+        return in_order(value.unflatten(0, (self.pairs, 2)).movedim(0, -1), len(pair)).mT

@@ -13,7 +13,7 @@ from deep_curiosity.distributions import drawn, gaussian_log_prob
 from deep_curiosity.divergences import jensen_shannon_lower, jensen_shannon_upper
 from deep_curiosity.dynamics import DynamicsEnsemble, Features, Prediction
 from deep_curiosity.marginal import NextStateMarginal
-from deep_curiosity.networks import frozen, rows_in_turn
+from deep_curiosity.networks import frozen, in_order, rows_in_turn
 from deep_curiosity.normalization import Standardization
 from deep_curiosity.pace import Pace
 from deep_curiosity.parts import (
@@ -360,8 +360,8 @@ class CuriosityBonus(Bonus):
         batch = observation.shape[0]
         row, _ = rows_in_turn(batch, self.dynamics.members, observation.device)
         in_turn = self.dynamics(observation[row], action[row])  # members turns ...
-        in_order = (field.transpose(0, 1).flatten(0, 1)[:batch] for field in in_turn)
-        return self._of_interest(Prediction(*(field.unsqueeze(0) for field in in_order)))
+        fields = (in_order(field, batch).unsqueeze(0) for field in in_turn)
+        return self._of_interest(Prediction(*fields))
 
     def _of_interest(self, prediction: Prediction) -> Prediction:
         """The entries of a prediction that curiosity is about."""

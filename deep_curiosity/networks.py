@@ -6,7 +6,7 @@ from contextlib import contextmanager
 from itertools import pairwise
 
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor, nn
 from torch.nn.functional import pad
 
@@ -87,6 +87,13 @@ def rows_in_turn(
     turns = torch.arange(-(-num_rows // members), device=device)
     row = torch.arange(members, device=device).unsqueeze(1) + members * turns
     return row % num_rows, row < num_rows
+
+
+def in_order(
+    value: Shaped[Tensor, "members turns *rest"], num_rows: int
+) -> Shaped[Tensor, "num_rows *rest"]:
+    """What members made of the rows that `rows_in_turn` gave them, in the order of the rows."""
+    return value.transpose(0, 1).flatten(0, 1)[:num_rows]
 
 
 def log_softmax_of_rest(

@@ -194,11 +194,7 @@ def test_with_a_critic_per_row_the_actor_climbs_one_and_the_critics_learn_from_t
     assert metrics["critic_loss"].item() == pytest.approx(evaluation.item(), abs=1e-6)
 
     improvement, _ = soft_actor_critic_policy_loss(
-        before,
-        agent.critics,
-        batch,
-        noise[1],
-        climbed=in_turn,
+        before, agent.critics, batch, noise[1], climbed=in_turn
     )
     assert metrics["policy_loss"].item() == pytest.approx(improvement.item(), abs=1e-6)
     improvement.backward()

@@ -55,9 +55,7 @@ def update_operations(
     target = forward(batch, policy) + critics * forward(batch, critic)
     evaluation = critics * fit(batch, critic)
     thinned = math.ceil(batch / settings.actor_stride)
-    climbed = modes * thinned  # by each critic
-    if settings.critic_per_row:
-        climbed = math.ceil(climbed / 2)
+    climbed = math.ceil(modes * thinned / (2 if settings.critic_per_row else 1))  # by each critic
     improvement = fit(thinned, policy) + critics * climb(climbed, critic, action_dim)
     agent = float(target + evaluation + improvement)
     if settings.bonus != "curiosity":
@@ -70,9 +68,10 @@ def update_operations(
 
     prediction = members * forward(rows, model)
     densities = members * forward(rows * outcomes, [2 * observation_dim, components])
-    refresh = forward(batch, policy) + members * forward(in_turn, model) + prediction + densities
-    # a graph has the bonus's predictions from the pass by which the models learn
-    asked = densities if should_compile(settings) else prediction + densities
+    bonus = prediction + densities
+    refresh = forward(batch, policy) + members * forward(in_turn, model) + bonus
+    # a graph has the predictions from the pass by which the models learn
+    asked = densities if should_compile(settings) else bonus
     return {
         "agent": agent + asked,
         "models": float(members * fit(rows, model)),

@@ -193,7 +193,7 @@ class Learner:
         batch = self._in_fields(drawn)
         agent_metrics = self.agent.update(batch, self.bonus)
         metrics = {f"agent/{name}": value for name, value in agent_metrics.items()}
-        if self.bonus_learner is not None:  # after it was asked: one pass through its models does
+        if self.bonus_learner is not None:  # after it was asked: a graph needs one pass for both
             metrics["curiosity/model_loss"] = self.bonus_learner.fit(first_of(batch))
         return metrics
 
