@@ -85,7 +85,7 @@ STUDIES = {
         CURIOSITY
         | {
             "curiosity, eager": {"compile": "off"},
-            "curiosity, smaller critic": {"critic_per_row": False},
+            "curiosity, renewed twice as often": {"refresh_interval": 10},
             "curiosity, nothing spared": NOTHING_SPARED,
             "curiosity, same time": {"update_to_data": 0.75},  # as the updates spared nothing take
         },

@@ -63,11 +63,12 @@ transitions in replay. Every contender has a process of its own, and only one co
 Stable-Baselines3's SAC (SB3) is taken as its users run it, with torch's own precision of matrix
 products, and with the precision that ours runs with. "Curious" is the default with the learned
 prior. By default the policy learns from every second transition of a batch, where it climbs one
-critic of each pair, and each transition trains one model and asks one for its bonus. With "nothing
-spared" policy and models learn from all, the policy climbs the smaller of two critics, as that of
-SB3 does, and all models are asked for every bonus. The first update is counted from the start of
-the process, imports and cold compilation included; memory is the largest resident memory of the
-process. A million transitions of replay take {replay_megabytes():.0f} MB.
+critic of each pair, each transition trains one model and asks one for its bonus, and the marginal
+is renewed at every twentieth update. With "nothing spared" policy and models learn from all, the
+policy climbs the smaller of two critics, as that of SB3 does, all models are asked for every
+bonus, and the marginal is renewed at every tenth update. The first update is counted from the
+start of the process, imports and cold compilation included; memory is the largest resident memory
+of the process. A million transitions of replay take {replay_megabytes():.0f} MB.
 
 ![Environment steps per second](agents.png)
 

@@ -3,22 +3,20 @@
 All of it concerns the whole process, so scripts do it and the library never does.
 """
 
-import ctypes
 import os
 import shutil
-import sys
 import time
 from typing import Literal
 
 import torch
 
 from deep_curiosity.precision import FLOAT32_ERROR, matmul_error
+from deep_curiosity.training.memory import settle_memory
 from deep_curiosity.training.settings import Settings
 
 MatmulPrecision = Literal["highest", "high", "medium"]
 PRECISIONS: tuple[MatmulPrecision, ...] = ("highest", "high", "medium")
 WORTH_COMPILING = 5_000  # updates, after which what compiling took is won back
-TRIM_THRESHOLD, MMAP_THRESHOLD = -1, -3  # of glibc's mallopt
 
 
 def prepare_machine(settings: Settings) -> MatmulPrecision:
@@ -28,7 +26,7 @@ def prepare_machine(settings: Settings) -> MatmulPrecision:
         The precision, which with `"auto"` is for the clock to choose.
     """
     torch.set_num_threads(settings.threads)
-    keep_freed_memory()
+    settle_memory()
     precision = choose_matmul_precision(settings.matmul_precision, settings.device)
     torch.set_float32_matmul_precision(precision)
     error = matmul_error(settings.device)
@@ -64,21 +62,6 @@ def matmul_rate(
         wait_for(device)
         seconds.append(time.perf_counter() - started)
     return 2 * members * size**3 / min(seconds)
-
-
-def keep_freed_memory() -> None:
-    """Let the C library keep freed memory rather than hand it back after every update.
-
-    An update frees some megabytes and takes them again at once; given back to the system, they
-    return page by page, which took a third of an update where it was measured. Only glibc has the
-    setting; elsewhere nothing is done.
-    """
-    if not sys.platform.startswith("linux"):
-        return
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
-    if mallopt is not None:
-        mallopt(TRIM_THRESHOLD, 2**31 - 1)
-        mallopt(MMAP_THRESHOLD, 2**25)  # the largest that is accepted
 
 
 def should_compile(settings: Settings) -> bool:

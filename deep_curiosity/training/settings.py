@@ -15,8 +15,9 @@ NOTHING_SPARED: dict[str, Any] = {
     "member_per_row": False,
     "actor_stride": 1,
     "critic_per_row": False,
+    "refresh_interval": 10,
 }
-"""Settings by which every network learns from the whole of every batch."""
+"""Settings by which every network learns from the whole of every batch, as the library does."""
 
 
 @dataclass(frozen=True)
@@ -149,7 +150,7 @@ class Settings:
     number of newer ones."""
     bandwidth: float | Literal["silverman", "perplexity"] = "silverman"
     """Width of the marginal's kernels."""
-    refresh_interval: int = 10
+    refresh_interval: int = 20
     """Updates from one renewal of the marginal and of the statistics that whiten to the next."""
     member_per_row: bool = True
     """Let each transition train one model, and ask one for its bonus, in turn, instead of all."""
