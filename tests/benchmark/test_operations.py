@@ -15,7 +15,6 @@ SMALL = Settings(
     batch_size=10,
     members=2,
     components=5,
-    refresh_interval=10,
     compile="off",
     **NOTHING_SPARED,
 )
@@ -86,7 +85,7 @@ def test_an_actor_that_takes_every_third_row_costs_as_many_rows():
 
 @pytest.mark.parametrize("changes", [{"bonus": "none"}, {}, NOTHING_SPARED], ids=str)
 def test_torch_counts_as_many_operations(changes):
-    settings = Settings(batch_size=64, refresh_interval=1, compile="off", **changes)
+    settings = replace(Settings(batch_size=64, compile="off", **changes), refresh_interval=1)
     learner = Learner(settings, 17, 6)
     learner.store(random_steps(100, 17))
     learner.update()

@@ -32,7 +32,7 @@ def test_freed_memory_does_not_return_page_by_page():
         TAKE,
         "print(getrusage(RUSAGE_SELF).ru_minflt - before)",
     )
-    assert faults < 100
+    assert faults < 1_500  # a tenth of the pages that were freed
 
 
 @pytest.mark.skipif(
