@@ -1,7 +1,7 @@
 """The curious agent: soft actor-critic with an action prior and a second, curious value."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from copy import deepcopy
 from typing import Literal, NamedTuple
 
@@ -12,7 +12,6 @@ from torch import Tensor, nn
 from deep_curiosity.action_information import action_information
 from deep_curiosity.action_prior import ActionMarginal, FlatPrior
 from deep_curiosity.actor_critic import Critics, GaussianPolicy
-from deep_curiosity.bonus import Bonus
 from deep_curiosity.losses import (
     actor_loss,
     critic_loss,
@@ -39,6 +38,8 @@ RATE_PER_ACTION_DIM = {
     "learned": 1.0,
 }
 
+Asked = Callable[..., Tensor]
+"""A bonus as the agent sees it: observations, actions and next observations to nats."""
 Hunger = Float[Tensor, ""] | Float[Tensor, " batch"]  # one for all, or one for each
 
 
@@ -173,8 +174,8 @@ class CuriousActorCritic(nn.Module):
         self.critic_per_row = critic_per_row
         self.polyak = polyak
 
-        has_curiosity_critic = curiosity and curiosity_discount > 0
-        discounts = [discount, curiosity_discount] if has_curiosity_critic else [discount]
+        learns_curiosity = curiosity and curiosity_discount > 0
+        discounts = [discount, curiosity_discount] if learns_curiosity else [discount]
         seen_dim = observation_dim + int(dial)
         self.policy = GaussianPolicy(
             seen_dim, action_dim, modes=policy_modes, hidden_dims=hidden_dims
@@ -283,7 +284,7 @@ class CuriousActorCritic(nn.Module):
         return torch.tanh(policy.draw())
 
     def update(
-        self, batch: Transition | Sequences, bonus: Bonus | None = None
+        self, batch: Transition | Sequences, bonus: Asked | None = None
     ) -> dict[str, Tensor]:
         """Take one gradient step on every part.
 
@@ -328,7 +329,7 @@ class CuriousActorCritic(nn.Module):
                 carry about them is estimated from both sides; not told without.
         """
         metrics = {"hunger": self._hunger.clone()}
-        if self._has_curiosity_critic:
+        if self.has_curiosity_critic:
             metrics["curiosity_share"] = self.curiosity_share
         if observation is not None:
             policy = self.policy(self.seen(observation))
@@ -361,7 +362,7 @@ class CuriousActorCritic(nn.Module):
         check_transition(steps, self.observation_dim, self.action_dim, dtype)
 
     def _update_critics(
-        self, batch: Transition | Sequences, bonus: Bonus | None, hunger: Hunger
+        self, batch: Transition | Sequences, bonus: Asked | None, hunger: Hunger
     ) -> dict[str, Tensor]:
         if isinstance(batch, Sequences):
             transition, target = batch.first, self._targets_ahead(batch, bonus, hunger)
@@ -381,18 +382,18 @@ class CuriousActorCritic(nn.Module):
 
     @torch.no_grad()
     def _targets(
-        self, transition: Transition, bonus: Bonus | None, hunger: Hunger
+        self, transition: Transition, bonus: Asked | None, hunger: Hunger
     ) -> Float[Tensor, "pairs batch"]:
         """One-step targets of the extrinsic value and, where it is learned, of the curious one."""
         next_value = self._next_values(transition.next_observation, hunger)
         rewards, ends = self._rewards(transition, bonus), transition.terminated
-        if not self.curiosity_episodic and self._has_curiosity_critic:
+        if not self.curiosity_episodic and self.has_curiosity_critic:
             ends = torch.stack([ends, torch.zeros_like(ends)])
         return critic_target(rewards, ends, next_value, self.discounts)
 
     @torch.no_grad()
     def _targets_ahead(
-        self, sequences: Sequences, bonus: Bonus | None, hunger: Hunger
+        self, sequences: Sequences, bonus: Asked | None, hunger: Hunger
     ) -> Float[Tensor, "pairs batch"]:
         """The same over several steps, for each value as many as are its own."""
         rewards = self._rewards(sequences.steps, bonus).unflatten(-1, sequences.alive.shape)
@@ -419,11 +420,11 @@ class CuriousActorCritic(nn.Module):
         return torch.stack(targets)
 
     def _rewards(
-        self, transition: Transition, bonus: Bonus | None
+        self, transition: Transition, bonus: Asked | None
     ) -> Float[Tensor, "pairs batch"]:
         """Reward and, where its value is learned, bonus."""
         rewards = [transition.reward]
-        if bonus is not None and self._has_curiosity_critic:
+        if bonus is not None and self.has_curiosity_critic:
             observation, action, _, next_observation, *_ = transition
             rewards.append(bonus(observation, action, next_observation))
         return torch.stack(rewards)
@@ -452,7 +453,7 @@ class CuriousActorCritic(nn.Module):
         self,
         observation: Float[Tensor, "rows observation_dim"],
         hunger: Hunger,
-        bonus: Bonus | None,
+        bonus: Asked | None,
     ) -> tuple[PolicyDraws, dict[str, Tensor]]:
         """Step the policy; return its draws and what to log."""
         policy = self.policy(self.seen(observation, hunger))
@@ -480,7 +481,7 @@ class CuriousActorCritic(nn.Module):
         self,
         observation: Float[Tensor, "batch observation_dim"],
         action: Float[Tensor, "modes batch action_dim"],
-        bonus: Bonus | None,
+        bonus: Asked | None,
         hunger: Hunger,
     ) -> tuple[Float[Tensor, "modes batch"], Float[Tensor, "modes batch"] | float]:
         """Extrinsic and weighted curiosity value of the policy's actions, to be climbed."""
@@ -489,7 +490,7 @@ class CuriousActorCritic(nn.Module):
         observation, action = observation.repeat(modes, 1), action.flatten(0, 1)
         ask = self.critics.in_turn if self.critic_per_row else self.critics.lower
         value = ask(seen, action).unflatten(-1, (modes, batch))
-        if self._has_curiosity_critic:
+        if self.has_curiosity_critic:
             curiosity_value = value[1]
         elif bonus is not None:
             curiosity_value = bonus(observation, action).unflatten(0, (modes, batch))
@@ -499,7 +500,7 @@ class CuriousActorCritic(nn.Module):
 
     def _share_of_curiosity(self, hunger: Hunger) -> Hunger:
         """Weight of the curiosity value in the actor at each hunger."""
-        if not self._has_curiosity_critic:
+        if not self.has_curiosity_critic:
             ratio = torch.ones_like(self._hunger)
         else:
             extrinsic, curious = self.spreads
@@ -549,7 +550,8 @@ class CuriousActorCritic(nn.Module):
         return {name: parameters for name, parameters in parts.items() if parameters}
 
     @property
-    def _has_curiosity_critic(self) -> bool:
+    def has_curiosity_critic(self) -> bool:
+        """Whether the bonus is a reward of its own, asked for once, and never climbed itself."""
         return self.critics.pairs == 2
 
     @property

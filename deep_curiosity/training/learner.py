@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from deep_curiosity.actor_critic import Reflex
-from deep_curiosity.agent import CuriousActorCritic
+from deep_curiosity.agent import Asked, CuriousActorCritic
 from deep_curiosity.bonus import Bonus
 from deep_curiosity.bonuses import BonusLearner, make_bonus
 from deep_curiosity.compilation import compiled
@@ -191,11 +191,26 @@ class Learner:
     def _learn_eagerly(self, drawn: Tensor | Sequences) -> dict[str, Tensor]:
         """The part of an update that can be one graph; returns what to log."""
         batch = self._in_fields(drawn)
-        agent_metrics = self.agent.update(batch, self.bonus)
-        metrics = {f"agent/{name}": value for name, value in agent_metrics.items()}
-        if self.bonus_learner is not None:  # after it was asked: a graph needs one pass for both
+        bonus = self._answered(batch)
+        metrics = {}
+        if self.bonus_learner is not None:
             metrics["curiosity/model_loss"] = self.bonus_learner.fit(first_of(batch))
-        return metrics
+        agent_metrics = self.agent.update(batch, bonus)
+        return metrics | {f"agent/{name}": value for name, value in agent_metrics.items()}
+
+    def _answered(self, batch: Transition | Sequences) -> Asked | None:
+        """The bonus, or its answer to all that the agent will ask of it.
+
+        Asked before the models learn, it needs no pass of its own in a graph; and they learn while
+        the pass is at hand.
+        """
+        bonus = self.bonus
+        if bonus is None or not self.agent.has_curiosity_critic:
+            return bonus
+        steps = batch.steps if isinstance(batch, Sequences) else batch
+        with torch.no_grad():
+            answer = bonus(steps.observation, steps.action, steps.next_observation)
+        return lambda *_: answer
 
     def diagnostics(self) -> dict[str, Tensor]:
         """What agent and bonus say of themselves; costs a few milliseconds."""
