@@ -39,7 +39,7 @@ RATE_PER_ACTION_DIM = {
 }
 
 Asked = Callable[..., Tensor]
-"""A bonus as the agent sees it: observations, actions and next observations to nats."""
+"""A bonus as the agent sees it: of observations, actions and, if known, next observations."""
 Hunger = Float[Tensor, ""] | Float[Tensor, " batch"]  # one for all, or one for each
 
 

@@ -15,6 +15,7 @@ from deep_curiosity.benchmark.tables import (
     spread,
 )
 from deep_curiosity.replay import ReplayBuffer
+from deep_curiosity.training.settings import NOTHING_SPARED, Settings
 from deep_curiosity.training.study import markdown_table
 
 AS_USED, SAME_PRECISION = "Stable-Baselines3", "Stable-Baselines3, our precision"
@@ -64,11 +65,12 @@ Stable-Baselines3's SAC (SB3) is taken as its users run it, with torch's own pre
 products, and with the precision that ours runs with. "Curious" is the default with the learned
 prior. By default the policy learns from every second transition of a batch, where it climbs one
 critic of each pair, each transition trains one model and asks one for its bonus, and the marginal
-is renewed at every twentieth update. With "nothing spared" policy and models learn from all, the
-policy climbs the smaller of two critics, as that of SB3 does, all models are asked for every
-bonus, and the marginal is renewed at every tenth update. The first update is counted from the
-start of the process, imports and cold compilation included; memory is the largest resident memory
-of the process. A million transitions of replay take {replay_megabytes():.0f} MB.
+is renewed at every {Settings.refresh_interval}th update. With "nothing spared" policy and models
+learn from all, the policy climbs the smaller of two critics, as that of SB3 does, all models are
+asked for every bonus, and the marginal is renewed at every {NOTHING_SPARED["refresh_interval"]}th
+update. The first update is counted from the start of the process, imports and cold compilation
+included; memory is the largest resident memory of the process. A million transitions of replay
+take {replay_megabytes():.0f} MB.
 
 ![Environment steps per second](agents.png)
 

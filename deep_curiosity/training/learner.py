@@ -204,12 +204,9 @@ class Learner:
         Asked before the models learn, it needs no pass of its own in a graph; and they learn while
         the pass is at hand.
         """
-        bonus = self.bonus
-        if bonus is None or not self.agent.has_curiosity_critic:
-            return bonus
-        steps = batch.steps if isinstance(batch, Sequences) else batch
-        with torch.no_grad():
-            answer = bonus(steps.observation, steps.action, steps.next_observation)
+        if self.bonus_learner is None or not self.agent.has_curiosity_critic:
+            return self.bonus
+        answer = self.bonus_learner.ask(batch.steps if isinstance(batch, Sequences) else batch)
         return lambda *_: answer
 
     def diagnostics(self) -> dict[str, Tensor]:
