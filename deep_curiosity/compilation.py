@@ -119,7 +119,9 @@ def _unchecked(graph: Callable[..., Output]) -> Callable[..., Output]:
 
 
 def _options(device: torch.device) -> dict[str, Any]:
-    from deep_curiosity.deduplication import Deduplication  # on request: torch's compiler is big
+    # on request: torch's compiler is big
+    from deep_curiosity.deduplication import Deduplication
+    from deep_curiosity.products import direct_products
 
     options: dict[str, Any] = {
         "fallback_random": True,
@@ -132,5 +134,7 @@ def _options(device: torch.device) -> dict[str, Any]:
             # torch 2.11 trips over its own assertion where it tries other orders of loops
             "loop_ordering_after_fusion": False,
         }
+    if torch.__version__ < CPP_WRAPPER_SINCE:
+        return options
     # what calls the kernels is C++ then, as they are
-    return options | {"cpp_wrapper": torch.__version__ >= CPP_WRAPPER_SINCE}
+    return options | {"cpp_wrapper": True} | direct_products()

@@ -13,9 +13,11 @@ import torch
 from deep_curiosity import CuriosityBonus, CuriousActorCritic
 from deep_curiosity.compilation import compiled
 from deep_curiosity.optimization import Adam
+from deep_curiosity.training.machine import choose_matmul_precision
 from deep_curiosity.transitions import Transition
 
 torch.set_num_threads(1)
+torch.set_float32_matmul_precision(choose_matmul_precision("auto", DEVICE))
 torch.manual_seed(0)
 agent = CuriousActorCritic(3, 2, hidden_dims=(32, 32), prior="learned", policy_modes=2, **OPTIONS)
 bonus = CuriosityBonus(3, 2, hidden_dims=(32, 32), members=2, outcomes=2, components=64, **BONUS)

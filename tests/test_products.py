@@ -1,0 +1,82 @@
+"""Products of compiled updates against torch's own, where this CPU has the kernel for them."""
+
+import pytest
+import torch
+
+from deep_curiosity.precision import matmul_is_float32
+from deep_curiosity.products import direct_products
+from tests.test_compilation import output_of
+
+pytestmark = pytest.mark.skipif(
+    torch.backends.cpu.get_cpu_capability() != "AVX512", reason="needs AVX-512"
+)
+
+OPERANDS = {
+    "rows": "matrices(3, 5, 7), matrices(3, 7, 4)",
+    "one matrix": "matrices(5, 7), matrices(7, 40)",
+    "a batch of one": "matrices(1, 128, 17), matrices(1, 17, 256)",
+    "left transposed": "matrices(3, 20, 33).mT, matrices(3, 20, 17)",
+    "right transposed": "matrices(3, 33, 20), matrices(3, 17, 20).mT",
+    "both transposed": "matrices(2, 16, 48).mT, matrices(2, 5, 16).mT",
+    "one row": "matrices(2, 9, 1).mT, matrices(2, 9, 3)",
+    "one column": "matrices(2, 4, 9), matrices(2, 1, 9).mT",
+    "the same for all": "matrices(5, 7).expand(4, 5, 7), matrices(4, 7, 2)",
+    "the same rows": "matrices(2, 1, 7).expand(2, 5, 7), matrices(2, 1, 20).expand(2, 7, 20)",
+    "the same columns": "matrices(2, 5, 7), matrices(2, 7, 1).expand(2, 7, 3)",
+    "part of a matrix": "matrices(2, 9, 12)[:, 2:7, 3:8], matrices(2, 5, 20)[..., 1:18]",
+    "every second one": "matrices(2, 9, 12)[:, ::2, ::3], matrices(2, 8, 20)[:, ::2, ::2]",
+}
+COMPARE = """
+import torch
+from torch._inductor.utils import run_and_get_code
+from deep_curiosity.products import direct_products
+
+torch.set_num_threads(1)
+torch.set_float32_matmul_precision("medium")
+torch.manual_seed(0)
+matrices = torch.randn
+operands = {OPERANDS}
+
+def products(pairs):
+    return [left @ right for left, right in pairs]
+
+options = {"cpp_wrapper": True, **direct_products()}
+compiled = torch.compile(products, dynamic=False, options=options)
+results, (code,) = run_and_get_code(compiled, list(operands.values()))
+print(code.count("CHECK(aoti_torch_cpu_product("), "mm_out" in code)
+for (name, (left, right)), result in zip(operands.items(), results):
+    exact = left.double() @ right.double()
+    error = ((result - exact).norm() / exact.norm()).item()
+    print(name, result.shape == exact.shape and error < 1e-6, sep=": ")
+"""
+
+
+@pytest.fixture
+def as_in_a_run():
+    """The switch and the threads of a run on this CPU, and afterwards those of before."""
+    precision, threads = torch.get_float32_matmul_precision(), torch.get_num_threads()
+    torch.set_float32_matmul_precision("medium")
+    torch.set_num_threads(1)
+    if not matmul_is_float32():
+        pytest.skip("the switch asks for less than float32")
+    yield
+    torch.set_float32_matmul_precision(precision)
+    torch.set_num_threads(threads)
+
+
+@pytest.mark.usefixtures("as_in_a_run")
+def test_products_are_those_of_the_matrices_however_they_lie_in_memory():
+    operands = ", ".join(f"{name!r}: ({pair})" for name, pair in OPERANDS.items())
+    counted, *compared = output_of(COMPARE.replace("OPERANDS", operands))
+    assert counted == f"{len(OPERANDS)} False"
+    assert compared == [f"{name}: True" for name in OPERANDS]
+
+
+@pytest.mark.usefixtures("as_in_a_run")
+def test_products_are_left_to_torch_where_it_is_asked_for_other_ones():
+    assert direct_products()
+    torch.set_float32_matmul_precision("highest")
+    assert not direct_products()
+    torch.set_float32_matmul_precision("medium")
+    torch.set_num_threads(2)
+    assert not direct_products()
