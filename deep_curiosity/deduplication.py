@@ -33,8 +33,12 @@ class Deduplication(CustomGraphPass):
                 graph.erase_node(node)
 
     def uuid(self) -> Any:
-        """What torch's cache of compiled graphs knows the pass by."""
-        return get_hash_for_files((__file__,))
+        """What torch's cache of compiled graphs knows the pass by.
+
+        The CPU is part of it: of a cache that machines share torch would take code whose steps are
+        as wide as another's registers, and what that computes is not a number.
+        """
+        return get_hash_for_files((__file__,)), torch.backends.cpu.get_cpu_capability()
 
 
 def _is_function(target: Any) -> bool:

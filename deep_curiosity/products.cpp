@@ -10,11 +10,28 @@
 
 namespace {
 
-constexpr int64_t LINE = 16;  // floats that the processor moves at once
+constexpr int64_t LINE = 16;  // floats of a line of the cache
 
 struct alignas(LINE * sizeof(float)) Line {
   float values[LINE];
 };
+
+void transpose(
+    const float* from, int64_t from_stride, float* to, int64_t to_stride, int64_t rows,
+    int64_t columns) {
+  for (int64_t row = 0; row < rows; row += LINE) {
+    for (int64_t column = 0; column < columns; column += LINE) {
+      const float* source = from + row * from_stride + column;
+      float* target = to + column * to_stride + row;
+      const int height = std::min(LINE, rows - row), width = std::min(LINE, columns - column);
+      if (height == LINE && width == LINE) {
+        at::vec::transpose_mxn<float, LINE, LINE>(source, from_stride, target, to_stride);
+      } else {
+        at::vec::transpose_mxn<float>(source, from_stride, target, to_stride, height, width);
+      }
+    }
+  }
+}
 
 // A matrix, or a batch of them, where it lies in memory.
 struct Matrices {
@@ -57,8 +74,7 @@ struct Rows {
     float* copied = memory[0].values;
     stride = lines * LINE;
     if (all.between_rows == 1) {
-      at::vec::transpose_mxn<float>(
-          data, all.between_columns, copied, stride, all.columns, all.rows);
+      transpose(data, all.between_columns, copied, stride, all.columns, all.rows);
     } else {
       for (int64_t row = 0; row < all.rows; ++row) {
         for (int64_t column = 0; column < all.columns; ++column) {

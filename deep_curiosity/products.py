@@ -10,6 +10,7 @@ from torch._inductor.custom_graph_pass import CustomGraphPass, get_hash_for_file
 from deep_curiosity.precision import matmul_is_float32
 
 SOURCE = Path(__file__).with_suffix(".cpp")
+INSTRUCTIONS = ("AVX2", "AVX512")  # of CPUs that the kernel is written for as the program runs
 KERNEL = "CPUBLAS_BRGEMM_F32F32F32"  # what torch's header defines where it has the kernel
 
 
@@ -44,14 +45,13 @@ class DirectProducts(CustomGraphPass):
 def direct_products() -> dict[str, Any]:
     """Options of torch's compiler for them, none where torch's own products do other work.
 
-    That is where the switch of `torch.set_float32_matmul_precision` asks for another library or
-    for less than float32, where threads share a product, and on CPUs the kernel is not for.
+    That is where `torch.set_float32_matmul_precision` asks for less than float32, where threads
+    share a product, and on CPUs the kernel is not for.
     """
     applies = (
-        torch.get_float32_matmul_precision() != "highest"
-        and matmul_is_float32()
+        matmul_is_float32()
         and torch.get_num_threads() == 1
-        and torch.backends.cpu.get_cpu_capability() == "AVX512"
+        and torch.backends.cpu.get_cpu_capability() in INSTRUCTIONS
         and _has_kernel()
     )
     if not applies:

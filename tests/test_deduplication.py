@@ -90,3 +90,10 @@ def test_the_models_are_asked_by_the_pass_that_they_learn_from(monkeypatch, memb
     monkeypatch.setattr(torch.compiler, "is_compiling", lambda: True)
     before, after = traced(partial(functional_call, asked), state, (transition,))
     assert (count(before, "bmm"), count(after, "bmm")) == (6, 3)
+
+
+def test_a_cpu_does_not_take_the_graphs_of_another_from_a_shared_cache(monkeypatch):
+    here = Deduplication().uuid()
+    assert Deduplication().uuid() == here
+    monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda: "another")
+    assert Deduplication().uuid() != here

@@ -3,12 +3,12 @@
 import pytest
 import torch
 
-from deep_curiosity.precision import matmul_is_float32
-from deep_curiosity.products import direct_products
+from deep_curiosity import products
+from deep_curiosity.products import INSTRUCTIONS, direct_products
 from tests.test_compilation import output_of
 
 pytestmark = pytest.mark.skipif(
-    torch.backends.cpu.get_cpu_capability() != "AVX512", reason="needs AVX-512"
+    torch.backends.cpu.get_cpu_capability() not in INSTRUCTIONS, reason="needs another CPU"
 )
 
 OPERANDS = {
@@ -32,7 +32,6 @@ from torch._inductor.utils import run_and_get_code
 from deep_curiosity.products import direct_products
 
 torch.set_num_threads(1)
-torch.set_float32_matmul_precision("medium")
 torch.manual_seed(0)
 matrices = torch.randn
 operands = {OPERANDS}
@@ -52,19 +51,14 @@ for (name, (left, right)), result in zip(operands.items(), results):
 
 
 @pytest.fixture
-def as_in_a_run():
-    """The switch and the threads of a run on this CPU, and afterwards those of before."""
-    precision, threads = torch.get_float32_matmul_precision(), torch.get_num_threads()
-    torch.set_float32_matmul_precision("medium")
+def on_one_thread():
+    """One thread as in a run, and afterwards as many as before."""
+    threads = torch.get_num_threads()
     torch.set_num_threads(1)
-    if not matmul_is_float32():
-        pytest.skip("the switch asks for less than float32")
     yield
-    torch.set_float32_matmul_precision(precision)
     torch.set_num_threads(threads)
 
 
-@pytest.mark.usefixtures("as_in_a_run")
 def test_products_are_those_of_the_matrices_however_they_lie_in_memory():
     operands = ", ".join(f"{name!r}: ({pair})" for name, pair in OPERANDS.items())
     counted, *compared = output_of(COMPARE.replace("OPERANDS", operands))
@@ -72,11 +66,14 @@ def test_products_are_those_of_the_matrices_however_they_lie_in_memory():
     assert compared == [f"{name}: True" for name in OPERANDS]
 
 
-@pytest.mark.usefixtures("as_in_a_run")
-def test_products_are_left_to_torch_where_it_is_asked_for_other_ones():
+@pytest.mark.usefixtures("on_one_thread")
+def test_threads_that_could_share_a_product_leave_it_to_torch():
     assert direct_products()
-    torch.set_float32_matmul_precision("highest")
-    assert not direct_products()
-    torch.set_float32_matmul_precision("medium")
     torch.set_num_threads(2)
+    assert not direct_products()
+
+
+@pytest.mark.usefixtures("on_one_thread")
+def test_less_than_float32_is_left_to_torch(monkeypatch):
+    monkeypatch.setattr(products, "matmul_is_float32", lambda: False)
     assert not direct_products()
