@@ -11,7 +11,6 @@ from deep_curiosity.precision import matmul_is_float32
 
 SOURCE = Path(__file__).with_suffix(".cpp")
 INSTRUCTIONS = ("AVX2", "AVX512")  # of CPUs that the kernel is written for as the program runs
-KERNEL = "CPUBLAS_BRGEMM_F32F32F32"  # what torch's header defines where it has the kernel
 
 
 @torch.library.custom_op("deep_curiosity::product", mutates_args=())
@@ -52,7 +51,6 @@ def direct_products() -> dict[str, Any]:
         matmul_is_float32()
         and torch.get_num_threads() == 1
         and torch.backends.cpu.get_cpu_capability() in INSTRUCTIONS
-        and _has_kernel()
     )
     if not applies:
         return {}
@@ -62,8 +60,3 @@ def direct_products() -> dict[str, Any]:
         "post_grad_custom_post_pass": DirectProducts(),
         "aot_inductor.custom_ops_to_c_shims": {operation: [definition]},
     }
-
-
-def _has_kernel() -> bool:
-    header = Path(torch.__file__).parent / "include" / "ATen" / "native" / "CPUBlas.h"
-    return header.exists() and KERNEL in header.read_text()
