@@ -8,6 +8,7 @@
 #include <algorithm>
 #include <vector>
 
+namespace deep_curiosity {
 namespace {
 
 constexpr int64_t LINE = 16;  // floats of a line of the cache
@@ -35,12 +36,12 @@ void transpose(
 
 // A matrix, or a batch of them, where it lies in memory.
 struct Matrices {
-  int64_t dim, num, rows, columns;
+  int64_t num, rows, columns;
   int64_t between, between_rows, between_columns;  // strides
-  const float* data;
+  float* data;
 
   explicit Matrices(AtenTensorHandle tensor) {
-    int64_t *sizes, *strides;
+    int64_t dim, *sizes, *strides;
     void* start;
     aoti_torch_get_dim(tensor, &dim);
     aoti_torch_get_sizes(tensor, &sizes);
@@ -50,66 +51,58 @@ struct Matrices {
     between = dim == 3 ? strides[0] : 0;
     rows = sizes[dim - 2], columns = sizes[dim - 1];
     between_rows = strides[dim - 2], between_columns = strides[dim - 1];
-    data = static_cast<const float*>(start);
+    data = static_cast<float*>(start);
   }
+
+  bool lie_in_rows() const { return between_columns == 1; }
+  bool lie_in_columns() const { return between_rows == 1; }
 };
 
-// One matrix row by row, as the kernel reads it: where it lies, or copied from there.
+// One matrix row by row, as the kernel reads it: where it lies, or copied from its columns.
 struct Rows {
   const float* data;
   int64_t stride;
 
   Rows(const Matrices& all, int64_t index, std::vector<Line>& memory)
       : data(all.data + index * all.between), stride(all.between_rows) {
-    if (all.between_columns != 1) {
-      copy(all, memory);
+    if (!all.lie_in_rows()) {
+      // a line more than it takes: rows apart by a power of two share places in the cache
+      const int64_t lines = (all.columns + LINE - 1) / LINE + 1;
+      memory.resize(std::max<size_t>(memory.size(), all.rows * lines));
+      stride = lines * LINE;
+      transpose(data, all.between_columns, memory[0].values, stride, all.columns, all.rows);
+      data = memory[0].values;
     }
-  }
-
- private:
-  void copy(const Matrices& all, std::vector<Line>& memory) {
-    // a line more than it takes: rows apart by a power of two share places in the cache
-    const int64_t lines = (all.columns + LINE - 1) / LINE + 1;
-    memory.resize(std::max<size_t>(memory.size(), all.rows * lines));
-    float* copied = memory[0].values;
-    stride = lines * LINE;
-    if (all.between_rows == 1) {
-      transpose(data, all.between_columns, copied, stride, all.columns, all.rows);
-    } else {
-      for (int64_t row = 0; row < all.rows; ++row) {
-        for (int64_t column = 0; column < all.columns; ++column) {
-          copied[row * stride + column] =
-              data[row * all.between_rows + column * all.between_columns];
-        }
-      }
-    }
-    data = copied;
   }
 };
 
-// What compiled code calls for `deep_curiosity::product`; torch gives it its name.
-AOTITorchError aoti_torch_cpu_product(
-    AtenTensorHandle left_tensor, AtenTensorHandle right_tensor, AtenTensorHandle* product) {
-  const Matrices left(left_tensor), right(right_tensor);
-  const int64_t rows = left.rows, columns = right.columns;
-  const int64_t sizes[] = {left.num, rows, columns}, strides[] = {rows * columns, columns, 1};
-  const int64_t skipped = 3 - left.dim;
-  const AOTITorchError error = aoti_torch_empty_strided(
-      left.dim, sizes + skipped, strides + skipped, aoti_torch_dtype_float32(),
-      aoti_torch_device_type_cpu(), /*device_index=*/0, product);
-  if (error != AOTI_TORCH_SUCCESS) {
-    return error;
+// A product written to where it shall lie, by torch itself where the kernel is not for it.
+template <typename Torchs>
+AOTITorchError product(
+    Torchs torchs, AtenTensorHandle out_tensor, AtenTensorHandle left_tensor,
+    AtenTensorHandle right_tensor) {
+  const Matrices out(out_tensor), left(left_tensor), right(right_tensor);
+  const bool lie_well = out.lie_in_rows() && (left.lie_in_rows() || left.lie_in_columns()) &&
+                        (right.lie_in_rows() || right.lie_in_columns());
+  const bool is_empty = out.rows * out.columns * left.columns == 0;
+  int32_t dtype;
+  aoti_torch_get_dtype(left_tensor, &dtype);
+  if (dtype != aoti_torch_dtype_float32() || !lie_well || is_empty) {
+    return torchs(out_tensor, left_tensor, right_tensor);
   }
-  void* start;
-  aoti_torch_get_data_ptr(*product, &start);
   static thread_local std::vector<Line> left_memory, right_memory;
-  for (int64_t index = 0; index < left.num; ++index) {
+  for (int64_t index = 0; index < out.num; ++index) {
     const Rows a(left, index, left_memory), b(right, index, right_memory);
     at::native::cpublas::brgemm(
-        rows, columns, left.columns, a.stride, b.stride, columns, /*add_C=*/false, a.data, b.data,
-        static_cast<float*>(start) + index * rows * columns);
+        out.rows, out.columns, left.columns, a.stride, b.stride, out.between_rows,
+        /*add_C=*/false, a.data, b.data, out.data + index * out.between);
   }
   return AOTI_TORCH_SUCCESS;
 }
 
 }  // namespace
+}  // namespace deep_curiosity
+
+// From here on what asks torch asks for the above.
+#define aoti_torch_cpu_bmm_out(...) deep_curiosity::product(aoti_torch_cpu_bmm_out, __VA_ARGS__)
+#define aoti_torch_cpu_mm_out(...) deep_curiosity::product(aoti_torch_cpu_mm_out, __VA_ARGS__)
