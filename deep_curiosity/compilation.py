@@ -8,6 +8,8 @@ from typing import Any, ParamSpec, TypeVar
 
 import torch
 
+from deep_curiosity.products import direct_products
+
 Inputs = ParamSpec("Inputs")
 Output = TypeVar("Output")
 WARM_UP = 3  # calls in which the graph is traced and settles
@@ -119,9 +121,7 @@ def _unchecked(graph: Callable[..., Output]) -> Callable[..., Output]:
 
 
 def _options(device: torch.device) -> dict[str, Any]:
-    # on request: torch's compiler is big
-    from deep_curiosity.deduplication import Deduplication
-    from deep_curiosity.products import direct_products
+    from deep_curiosity.deduplication import Deduplication  # on request: torch's compiler is big
 
     options: dict[str, Any] = {
         "fallback_random": True,

@@ -7,7 +7,7 @@ import torch
 
 from deep_curiosity.precision import matmul_is_float32
 
-INSTRUCTIONS = ("AVX2", "AVX512")  # of CPUs that the kernel is written for as the program runs
+INSTRUCTIONS = ("AVX2", "AVX512")  # for which torch writes the kernel, at run time
 
 
 def direct_products() -> dict[str, Any]:
