@@ -1,8 +1,8 @@
 """Predictive-information curiosity for continuous control, after Still & Precup (2012)."""
 
-from deep_curiosity.agent import CuriousActorCritic
-from deep_curiosity.bonus import Bonus
-from deep_curiosity.curiosity import CuriosityBonus
+from deep_curiosity.agent.sac import CuriousActorCritic
+from deep_curiosity.bonuses.base import Bonus
+from deep_curiosity.bonuses.curiosity import CuriosityBonus
 from deep_curiosity.replay import ReplayBuffer
 from deep_curiosity.transitions import Transition
 

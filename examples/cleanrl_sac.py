@@ -30,7 +30,7 @@ from torch.nn.functional import softplus
 from torch.utils.tensorboard import SummaryWriter
 
 from deep_curiosity import CuriosityBonus, Transition  # + curiosity
-from deep_curiosity.bonuses import BonusLearner  # + curiosity
+from deep_curiosity.bonuses.registry import BonusLearner  # + curiosity
 
 LOG_STD_RANGE = (-5.0, 2.0)  # below -5 the density of tanh is sharper than float32 resolves
 

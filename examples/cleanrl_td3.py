@@ -27,7 +27,7 @@ from torch import Tensor, nn
 from torch.utils.tensorboard import SummaryWriter
 
 from deep_curiosity import CuriosityBonus, Transition  # + curiosity
-from deep_curiosity.bonuses import BonusLearner  # + curiosity
+from deep_curiosity.bonuses.registry import BonusLearner  # + curiosity
 
 
 @dataclass(frozen=True)

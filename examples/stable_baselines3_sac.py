@@ -15,7 +15,7 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 
-from deep_curiosity.adapters import stable_baselines3 as curiosity  # + curiosity
+from deep_curiosity.integrations import stable_baselines3 as curiosity  # + curiosity
 
 
 @dataclass(frozen=True)

@@ -23,8 +23,8 @@ from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import SACLoss, SoftUpdate
 
 from deep_curiosity import CuriosityBonus  # + curiosity
-from deep_curiosity.adapters.torchrl import CuriosityTransform  # + curiosity
-from deep_curiosity.bonuses import BonusLearner  # + curiosity
+from deep_curiosity.integrations.torchrl import CuriosityTransform  # + curiosity
+from deep_curiosity.bonuses.registry import BonusLearner  # + curiosity
 
 
 @dataclass(frozen=True)

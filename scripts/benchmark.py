@@ -16,11 +16,11 @@ import torch
 import tyro
 
 from deep_curiosity.benchmark.agents import measure_agents
-from deep_curiosity.benchmark.contenders import make_peer
+from deep_curiosity.benchmark.runners import make_peer
 from deep_curiosity.benchmark.costs import measure_bonus, measure_devices, measure_growth
-from deep_curiosity.benchmark.ours import OurAgent
+from deep_curiosity.benchmark.own_agent import OurAgent
 from deep_curiosity.benchmark.page import AS_USED, SAME_PRECISION, write_page
-from deep_curiosity.benchmark.pictures import (
+from deep_curiosity.benchmark.figures import (
     draw_agents,
     draw_bonus,
     draw_devices,
@@ -30,8 +30,8 @@ from deep_curiosity.benchmark.pictures import (
 from deep_curiosity.benchmark.tables import read_rows, save_rows
 from deep_curiosity.benchmark.vector import measure_vector_environments
 from deep_curiosity.training import Settings
-from deep_curiosity.training.machine import prepare_machine
-from deep_curiosity.training.settings import NOTHING_SPARED
+from deep_curiosity.speed.machine import prepare_machine
+from deep_curiosity.training.config import NOTHING_SPARED
 
 STABLE_BASELINES = "deep_curiosity.benchmark.stable_baselines:StableBaselines"
 PLAIN = Settings(env_id="HalfCheetah-v5", bonus="none", prior="uniform")

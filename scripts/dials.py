@@ -16,14 +16,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from scipy.stats import spearmanr
 
-from deep_curiosity.parts import PARTS
+from deep_curiosity.bonuses.decomposition import PARTS
 from deep_curiosity.training import Settings
 from deep_curiosity.training.checkpoint import load_checkpoint
-from deep_curiosity.training.collection import Collector, Episode, as_batch
+from deep_curiosity.training.collector import Collector, Episode, as_batch
 from deep_curiosity.training.environments import make_environment
 from deep_curiosity.training.playback import load_agent
-from deep_curiosity.training.records import read_progress
-from deep_curiosity.training.study import (
+from deep_curiosity.training.log import read_progress
+from deep_curiosity.experiments.grid import (
     EVALUATION_TAG,
     markdown_table,
     median_and_range,

@@ -9,10 +9,10 @@ from typing import Annotated
 
 import tyro
 
-from deep_curiosity.training.collection import evaluate
+from deep_curiosity.training.collector import evaluate
 from deep_curiosity.training.environments import make_environment
 from deep_curiosity.training.playback import load_policy, record_episode, write_video
-from deep_curiosity.training.records import read_settings
+from deep_curiosity.training.log import read_settings
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,8 @@ from deep_curiosity.tabular.worlds import reliable_unreliable
 from deep_curiosity.training import Settings
 from deep_curiosity.training.environments import make_environment
 from deep_curiosity.training.playback import load_agent
-from deep_curiosity.training.settings import NOTHING_SPARED
-from deep_curiosity.training.study import markdown_table, run_once, write_table
+from deep_curiosity.training.config import NOTHING_SPARED
+from deep_curiosity.experiments.grid import markdown_table, run_once, write_table
 
 NUM_DRAWS = 20_000  # actions drawn in each state to know the policy by
 EXTREME = 0.8  # in the agent's units of [-1, 1]: within 0.1 of an end of the paper's [0, 1]

@@ -9,10 +9,10 @@ import tyro
 
 from deep_curiosity.benchmark.tables import grouped
 from deep_curiosity.training import Settings
-from deep_curiosity.training.comparison import compare, draw_comparison
-from deep_curiosity.training.records import read_progress
-from deep_curiosity.training.settings import NOTHING_SPARED
-from deep_curiosity.training.study import (
+from deep_curiosity.experiments.statistics import compare, draw_comparison
+from deep_curiosity.training.log import read_progress
+from deep_curiosity.training.config import NOTHING_SPARED
+from deep_curiosity.experiments.grid import (
     Task,
     markdown_table,
     median_and_range,

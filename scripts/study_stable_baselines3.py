@@ -21,9 +21,9 @@ from stable_baselines3.common.logger import configure
 from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
-from deep_curiosity.adapters.stable_baselines3 import CuriosityCallback, CuriousReplayBuffer
+from deep_curiosity.integrations.stable_baselines3 import CuriosityCallback, CuriousReplayBuffer
 from deep_curiosity.training import Settings
-from deep_curiosity.training.study import (
+from deep_curiosity.experiments.grid import (
     CURVE_COLUMNS,
     Task,
     draw_curves,

@@ -28,10 +28,10 @@ from torchrl.modules import (
 from torchrl.objectives import SACLoss, SoftUpdate
 
 import deep_curiosity_envs  # noqa: F401  # registers the task
-from deep_curiosity.adapters.torchrl import CuriosityTransform
-from deep_curiosity.bonuses import BonusLearner, make_bonus
+from deep_curiosity.integrations.torchrl import CuriosityTransform
+from deep_curiosity.bonuses.registry import BonusLearner, make_bonus
 from deep_curiosity.training import Settings
-from deep_curiosity.training.study import (
+from deep_curiosity.experiments.grid import (
     Task,
     draw_curves,
     markdown_table,

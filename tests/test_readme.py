@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from deep_curiosity.training import Settings, train
-from deep_curiosity.training.records import read_progress
+from deep_curiosity.training.log import read_progress
 
 README = (Path(__file__).parents[1] / "README.md").read_text()
 

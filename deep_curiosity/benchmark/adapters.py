@@ -23,12 +23,12 @@ from torchrl.modules import (
 )
 from torchrl.objectives import SACLoss, SoftUpdate
 
-from deep_curiosity.adapters.stable_baselines3 import CuriousReplayBuffer
-from deep_curiosity.adapters.torchrl import CuriosityTransform
+from deep_curiosity.integrations.stable_baselines3 import CuriousReplayBuffer
+from deep_curiosity.integrations.torchrl import CuriosityTransform
 from deep_curiosity.benchmark.agents import ACTION_DIM, OBSERVATION_DIM, Row
 from deep_curiosity.benchmark.costs import alternate
-from deep_curiosity.bonuses import BonusLearner
-from deep_curiosity.curiosity import CuriosityBonus
+from deep_curiosity.bonuses.registry import BonusLearner
+from deep_curiosity.bonuses.curiosity import CuriosityBonus
 from deep_curiosity.transitions import Transition
 
 BATCH_SIZE = 256

@@ -3,9 +3,9 @@
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from deep_curiosity.benchmark.contenders import Contender, Worker
+from deep_curiosity.benchmark.runners import Contender, Worker
 from deep_curiosity.benchmark.operations import update_operations
-from deep_curiosity.training.settings import Settings
+from deep_curiosity.training.config import Settings
 
 Row = dict[str, Any]
 """What was measured in one turn, by column."""

@@ -15,13 +15,13 @@ from torch import nn
 from torch.profiler import ProfilerActivity, profile
 
 from deep_curiosity.benchmark.agents import ACTION_DIM, OBSERVATION_DIM, Row
-from deep_curiosity.compilation import compiled
-from deep_curiosity.curiosity import CuriosityBonus
+from deep_curiosity.speed.compile import compiled
+from deep_curiosity.bonuses.curiosity import CuriosityBonus
 from deep_curiosity.replay import ReplayBuffer
-from deep_curiosity.training.collection import EnvironmentSteps
+from deep_curiosity.training.collector import EnvironmentSteps
 from deep_curiosity.training.learner import Learner
-from deep_curiosity.training.machine import wait_for
-from deep_curiosity.training.settings import Settings
+from deep_curiosity.speed.machine import wait_for
+from deep_curiosity.training.config import Settings
 from deep_curiosity.transitions import Transition
 
 GROWTH: dict[str, tuple[int, ...]] = {

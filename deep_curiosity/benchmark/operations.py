@@ -8,8 +8,8 @@ import math
 from collections.abc import Sequence
 from itertools import pairwise
 
-from deep_curiosity.training.machine import should_compile
-from deep_curiosity.training.settings import Settings
+from deep_curiosity.speed.machine import should_compile
+from deep_curiosity.training.config import Settings
 
 
 def forward(rows: int, widths: Sequence[int]) -> int:

@@ -4,7 +4,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from deep_curiosity.benchmark.agents import ACTION_DIM, NUM_FILLED, OBSERVATION_DIM, Row
-from deep_curiosity.benchmark.ours import PARTS
+from deep_curiosity.benchmark.own_agent import PARTS
 from deep_curiosity.benchmark.tables import (
     grouped,
     median,
@@ -15,8 +15,8 @@ from deep_curiosity.benchmark.tables import (
     spread,
 )
 from deep_curiosity.replay import ReplayBuffer
-from deep_curiosity.training.settings import NOTHING_SPARED, Settings
-from deep_curiosity.training.study import markdown_table
+from deep_curiosity.training.config import NOTHING_SPARED, Settings
+from deep_curiosity.experiments.grid import markdown_table
 
 AS_USED, SAME_PRECISION = "Stable-Baselines3", "Stable-Baselines3, our precision"
 """Stable-Baselines3 as its users run it, and with our precision of matrix products."""

@@ -7,8 +7,8 @@ import numpy as np
 import torch
 from stable_baselines3 import SAC
 
-from deep_curiosity.benchmark.ours import NUM_RANDOM_STEPS
-from deep_curiosity.training.machine import MatmulPrecision
+from deep_curiosity.benchmark.own_agent import NUM_RANDOM_STEPS
+from deep_curiosity.speed.machine import MatmulPrecision
 
 
 class StableBaselines:

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from deep_curiosity.benchmark.agents import Row
-from deep_curiosity.training.study import median_and_range, write_table
+from deep_curiosity.experiments.grid import median_and_range, write_table
 
 Key = tuple[object, ...]
 

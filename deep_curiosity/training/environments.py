@@ -13,7 +13,7 @@ from gymnasium import spaces
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv
 
 import deep_curiosity_envs
-from deep_curiosity.training.window import HistoryWindow, VectorHistoryWindow
+from deep_curiosity.training.frame_stack import HistoryWindow, VectorHistoryWindow
 
 GOAL_ENDS_EPISODE = frozenset({"MountainCarContinuous-v0"})
 """Tasks that say nothing of success, but terminate at the goal and nowhere else."""

@@ -14,8 +14,8 @@ import torch
 from numpy.typing import ArrayLike
 
 from deep_curiosity.schedules import Schedule
-from deep_curiosity.training.collection import Info
-from deep_curiosity.training.settings import Settings
+from deep_curiosity.training.collector import Info
+from deep_curiosity.training.config import Settings
 
 DRAWN_HUNGERS = (0.0, 0.5, 1.0, 1.0)  # one episode of four is purely curious, two are greedy
 LACK_OF_HUNGRY = 0.5  # of a charge, at which only reward counts

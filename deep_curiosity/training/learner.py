@@ -7,16 +7,16 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deep_curiosity.actor_critic import Reflex
-from deep_curiosity.agent import Asked, CuriousActorCritic
-from deep_curiosity.bonus import Bonus
-from deep_curiosity.bonuses import BonusLearner, make_bonus
-from deep_curiosity.compilation import compiled
-from deep_curiosity.curiosity import CuriosityBonus
+from deep_curiosity.agent.policy import Reflex
+from deep_curiosity.agent.sac import Asked, CuriousActorCritic
+from deep_curiosity.bonuses.base import Bonus
+from deep_curiosity.bonuses.registry import BonusLearner, make_bonus
+from deep_curiosity.speed.compile import compiled
+from deep_curiosity.bonuses.curiosity import CuriosityBonus
 from deep_curiosity.replay import ReplayBuffer
-from deep_curiosity.rivals import ConstantBonus
+from deep_curiosity.bonuses.baselines import ConstantBonus
 from deep_curiosity.schedules import Schedule
-from deep_curiosity.training.collection import (
+from deep_curiosity.training.collector import (
     EnvironmentStep,
     EnvironmentSteps,
     Info,
@@ -25,8 +25,8 @@ from deep_curiosity.training.collection import (
 )
 from deep_curiosity.training.exploration import NOISES, Noise
 from deep_curiosity.training.hunger import Keeper, Sense, make_keeper
-from deep_curiosity.training.machine import should_compile
-from deep_curiosity.training.settings import Settings
+from deep_curiosity.speed.machine import should_compile
+from deep_curiosity.training.config import Settings
 from deep_curiosity.transitions import Sequences, Transition, first_of
 
 NUM_DIAGNOSED_STATES = 512  # of replay, over which the information of the actions is estimated

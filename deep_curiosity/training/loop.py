@@ -8,9 +8,9 @@ from tqdm import tqdm
 
 from deep_curiosity.training.hunger import Sense
 from deep_curiosity.training.interruption import catch_interruption
-from deep_curiosity.training.pictures import draw_run
+from deep_curiosity.training.figures import draw_run
 from deep_curiosity.training.run import open_run
-from deep_curiosity.training.settings import Settings
+from deep_curiosity.training.config import Settings
 
 
 def train(

@@ -7,13 +7,13 @@ import imageio.v2 as imageio
 import numpy as np
 from numpy.typing import NDArray
 
-from deep_curiosity.agent import CuriousActorCritic
+from deep_curiosity.agent.sac import CuriousActorCritic
 from deep_curiosity.training.checkpoint import load_checkpoint
-from deep_curiosity.training.collection import Collector, Episode, Policy, as_batch
+from deep_curiosity.training.collector import Collector, Episode, Policy, as_batch
 from deep_curiosity.training.environments import action_dim, observation_dim
 from deep_curiosity.training.hunger import make_keeper
 from deep_curiosity.training.learner import evaluation_policy, make_agent
-from deep_curiosity.training.settings import Settings
+from deep_curiosity.training.config import Settings
 
 
 def load_agent(folder: Path, settings: Settings, environment: gymnasium.Env) -> CuriousActorCritic:

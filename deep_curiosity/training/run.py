@@ -17,7 +17,7 @@ from torch import Tensor
 
 from deep_curiosity import __version__
 from deep_curiosity.training.checkpoint import load_checkpoint, save_checkpoint
-from deep_curiosity.training.collection import Collector, VectorCollector, evaluate
+from deep_curiosity.training.collector import Collector, VectorCollector, evaluate
 from deep_curiosity.training.environments import (
     action_dim,
     make_environment,
@@ -25,11 +25,11 @@ from deep_curiosity.training.environments import (
     num_cells,
     observation_dim,
 )
-from deep_curiosity.training.history import History, mean_return, success_rate
+from deep_curiosity.training.run_log import History, mean_return, success_rate
 from deep_curiosity.training.hunger import Sense
 from deep_curiosity.training.learner import Learner
-from deep_curiosity.training.machine import prepare_machine
-from deep_curiosity.training.records import (
+from deep_curiosity.speed.machine import prepare_machine
+from deep_curiosity.training.log import (
     CONFIG,
     SUMMARY,
     Records,
@@ -37,7 +37,7 @@ from deep_curiosity.training.records import (
     read_settings,
     write_json,
 )
-from deep_curiosity.training.settings import Settings
+from deep_curiosity.training.config import Settings
 
 EVALUATION_SEED = 1_000_003  # apart from the seeds of training, the same in every run
 RESUMABLE = ("out", "resume", "total_steps")  # settings that a resumed run may change

@@ -2,8 +2,8 @@ from dataclasses import replace
 from functools import partial
 
 from deep_curiosity.benchmark.agents import measure_agents
-from deep_curiosity.benchmark.contenders import make_peer
-from deep_curiosity.benchmark.ours import OurAgent
+from deep_curiosity.benchmark.runners import make_peer
+from deep_curiosity.benchmark.own_agent import OurAgent
 
 
 def test_agents_take_turns_and_who_is_missing_is_left_out(tiny, capsys):

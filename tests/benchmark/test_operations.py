@@ -8,7 +8,7 @@ from deep_curiosity.benchmark.costs import random_steps
 from deep_curiosity.benchmark.operations import climb, fit, forward, update_operations
 from deep_curiosity.training import Settings
 from deep_curiosity.training.learner import Learner
-from deep_curiosity.training.settings import NOTHING_SPARED
+from deep_curiosity.training.config import NOTHING_SPARED
 
 SMALL = Settings(
     hidden_dim=4,

@@ -1,5 +1,5 @@
 from deep_curiosity.benchmark.page import write_page
-from deep_curiosity.benchmark.pictures import draw_vector
+from deep_curiosity.benchmark.figures import draw_vector
 from deep_curiosity.benchmark.tables import save_rows
 from deep_curiosity.benchmark.vector import measure_vector_environments
 from deep_curiosity_envs import TASK_IDS

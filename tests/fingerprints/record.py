@@ -34,13 +34,13 @@ from torchrl.modules import (
 from torchrl.objectives import SACLoss, SoftUpdate
 
 import deep_curiosity_envs  # noqa: F401  # registers the tasks
-from deep_curiosity.adapters.stable_baselines3 import (
+from deep_curiosity.integrations.stable_baselines3 import (
     CuriosityCallback,
     CuriousReplayBuffer,
     CuriousRolloutBuffer,
 )
-from deep_curiosity.adapters.torchrl import CuriosityTransform, CuriousActorCriticLoss
-from deep_curiosity.bonuses import BonusLearner, make_bonus
+from deep_curiosity.integrations.torchrl import CuriosityTransform, CuriousActorCriticLoss
+from deep_curiosity.bonuses.registry import BonusLearner, make_bonus
 from deep_curiosity.training import Settings, train
 from deep_curiosity.training.checkpoint import load_checkpoint
 

@@ -11,7 +11,7 @@ from deep_curiosity.training.environments import make_environment
 from deep_curiosity.training.hunger import Bandit, Drawn, Scheduled, Sensed, make_keeper
 from deep_curiosity.training.learner import Learner
 from deep_curiosity.training.playback import load_policy
-from deep_curiosity.training.records import read_progress
+from deep_curiosity.training.log import read_progress
 
 NOTHING = np.zeros((1, 3))
 GOES_ON = np.array([False])

@@ -13,7 +13,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from deep_curiosity.training import Settings, loop, train
 from deep_curiosity.training.checkpoint import NEWEST, load_checkpoint
-from deep_curiosity.training.collection import Collector
+from deep_curiosity.training.collector import Collector
 from deep_curiosity.training.learner import Learner
 
 SUMMARY_KEYS = {
@@ -445,7 +445,7 @@ def test_importing_the_library_leaves_torch_and_logging_alone():
     code = (
         "import logging, torch; before = torch.get_float32_matmul_precision(), "
         "torch.get_default_dtype(), logging.root.level, logging.root.handlers[:]; "
-        "import deep_curiosity, deep_curiosity.agent, deep_curiosity.curiosity, sys; "
+        "import deep_curiosity, deep_curiosity.agent.sac, deep_curiosity.bonuses.curiosity, sys; "
         "assert before == (torch.get_float32_matmul_precision(), torch.get_default_dtype(), "
         "logging.root.level, logging.root.handlers[:]); "
         "heavy = {'gymnasium', 'mujoco', 'torchrl', 'stable_baselines3', 'torch._dynamo'}; "

@@ -1,0 +1,1 @@
+"""Bonuses: curiosity, and the baselines that it is compared with, behind one contract."""

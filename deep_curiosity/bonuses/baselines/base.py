@@ -1,0 +1,136 @@
+"""What all rivals share: checks at the door, whitened observations, a standardised bonus."""
+
+from abc import abstractmethod
+
+import torch
+from jaxtyping import Float
+from torch import Tensor
+
+from deep_curiosity.bonuses.base import Bonus, Policy
+from deep_curiosity.nn.normalization import RunningMoments, Standardization
+from deep_curiosity.nn.every import Pace
+from deep_curiosity.transitions import Transition, check_batch, check_counts, check_transition
+
+
+class RivalBonus(Bonus):
+    """A score of pairs, or of their outcomes, in units of its own, then standardised.
+
+    Args:
+        observation_dim: Length of an observation.
+        action_dim: Length of an action; actions lie in [-1, 1].
+        weight: Factor of the standardised score.
+        center: Subtract the score's running mean.
+        scale: Divide by the score's running standard deviation.
+        refresh_interval: Calls of `observe` from one that looks at its batch to the next.
+
+    Raises:
+        ValueError: If a size or the weight is out of range.
+    """
+
+    def __init__(
+        self,
+        observation_dim: int,
+        action_dim: int,
+        *,
+        weight: float,
+        center: bool,
+        scale: bool,
+        refresh_interval: int,
+    ) -> None:
+        super().__init__()
+        check_counts(
+            observation_dim=observation_dim,
+            action_dim=action_dim,
+            refresh_interval=refresh_interval,
+        )
+        self.observation_dim = observation_dim
+        self.action_dim = action_dim
+        self.standardization = Standardization(weight=weight, center=center, scale=scale)
+        self.observation_moments = RunningMoments(observation_dim)
+        self.pace = Pace(refresh_interval)
+
+    def forward(
+        self,
+        observation: Float[Tensor, "batch observation_dim"],
+        action: Float[Tensor, "batch action_dim"],
+        next_observation: Float[Tensor, "batch observation_dim"] | None = None,
+    ) -> Float[Tensor, " batch"]:
+        """Weighted, standardised score of each pair; changes no state.
+
+        Raises:
+            ValueError: If `next_observation` is missing where outcomes are scored.
+        """
+        check_batch("observation", observation, self.observation_dim, self._dtype)
+        check_batch("action", action, self.action_dim, self._dtype)
+        if next_observation is not None:
+            check_batch("next_observation", next_observation, self.observation_dim, self._dtype)
+        elif self.scores_outcomes:
+            raise ValueError(
+                f"`next_observation` must be given to a {type(self).__name__}, which scores what "
+                "has happened, got None."
+            )
+        return self.standardization(self.score(observation, action, next_observation))
+
+    def loss(self, transition: Transition) -> Float[Tensor, ""]:
+        """Loss of what the bonus learns.
+
+        Raises:
+            TypeError: If a field has the wrong kind.
+            ValueError: If a field has the wrong shape or holds NaN or infinity.
+        """
+        self._check(transition)
+        return self.fit(transition)
+
+    @torch.no_grad()
+    def observe(self, transition: Transition, policy: Policy | None = None) -> None:
+        """Update the statistics from a batch, at every `refresh_interval`-th call.
+
+        Raises:
+            TypeError: If a field has the wrong kind.
+            ValueError: If a field has the wrong shape or holds NaN or infinity. The statistics
+                are then as before.
+        """
+        if self.passes():
+            return
+        self._check(transition)
+        self.observation_moments.update(transition.observation)
+        self.remember(transition, policy)
+        observation, action, _, next_observation, *_ = transition
+        self.standardization.update(self.score(observation, action, next_observation))
+        self.pace.count()
+
+    def passes(self) -> bool:
+        """Whether the next batch would only be counted, and then count it."""
+        return self.pace.passes()
+
+    def metrics(self) -> dict[str, Tensor]:
+        """Running mean and standard deviation of the score, in its own unit."""
+        moments = self.standardization.moments
+        return {"score": moments.mean[0].clone(), "score_std": moments.scale[0].clone()}
+
+    @abstractmethod
+    def score(
+        self,
+        observation: Float[Tensor, "batch observation_dim"],
+        action: Float[Tensor, "batch action_dim"],
+        next_observation: Float[Tensor, "batch observation_dim"] | None,
+    ) -> Float[Tensor, " batch"]:
+        """Score of each pair in its own unit, with all networks held fixed."""
+
+    def fit(self, transition: Transition) -> Float[Tensor, ""]:
+        """Loss of the networks; zero where there are none."""
+        return transition.reward.new_zeros((), requires_grad=True)
+
+    def remember(self, transition: Transition, policy: Policy | None) -> None:
+        """Whatever else is kept of a batch; nothing by default."""
+
+    def pair_features(self, observation: Tensor, action: Tensor) -> Tensor:
+        """Whitened observation and action, as networks of pairs take them."""
+        return torch.cat([self.observation_moments.normalize(observation), action], dim=-1)
+
+    @property
+    def _dtype(self) -> torch.dtype:
+        return self.observation_moments.mean.dtype
+
+    def _check(self, transition: Transition) -> None:
+        check_transition(transition, self.observation_dim, self.action_dim, self._dtype)

@@ -1,0 +1,294 @@
+"""The learned world: an ensemble of Gaussian networks that predict the next state."""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Literal, NamedTuple
+
+import torch
+from jaxtyping import Bool, Float
+from torch import Tensor, nn
+from torch.nn.functional import softplus
+
+from deep_curiosity.distributions import gaussian_log_prob
+from deep_curiosity.nn.hashing import HASH_FACTOR, HASH_OFFSET, scrambled
+from deep_curiosity.nn.mlp import StackedMLP, log_softmax_of_rest, rows_in_turn
+from deep_curiosity.nn.normalization import WHITENINGS
+from deep_curiosity.transitions import Transition, check_counts, check_finite
+
+Features = Callable[[Tensor], Tensor]
+"""What of observations `(batch, observation_dim)` is to be predicted, `(batch, features)`."""
+
+LOG_VAR_RANGE = (-9.0, 2.0)  # of the whitened change: sharper is float noise, wider is ignorance
+HELD_OUT_SHARE = 20  # one transition in twenty is never trained on
+HELD_OUT_DECAY = 0.98  # of the held-out averages, for each batch
+
+
+class Prediction(NamedTuple):
+    """Next states as each member sees them, in whitened units: a mixture of outcomes, or one."""
+
+    loc: Float[Tensor, "members batch outcomes features"]
+    log_var: Float[Tensor, "members batch outcomes features"]
+    log_weight: Float[Tensor, "members batch outcomes"]
+
+    def mean(
+        self, value: Float[Tensor, "*samples members batch outcomes"]
+    ) -> Float[Tensor, "*samples members batch"]:
+        """Mean over outcomes by their weights."""
+        return (self.log_weight.exp() * value).sum(-1)
+
+
+class DynamicsEnsemble(nn.Module):
+    r"""Gaussian models `p_e(x'|x, a)` of the next state, stacked along a leading axis of members.
+
+    Each member predicts the whitened change of state with its own variance. Predictions come out
+    in whitened units of the observation, where `noise_floor` is the resolution at which the agent
+    sees: no prediction is sharper than that. Where the next state is one of several, such as a
+    ball caught or dropped, `outcomes` makes every prediction a mixture (Bishop, "Mixture density
+    networks", 1994).
+
+    Args:
+        observation_dim: Length of an observation.
+        action_dim: Length of an action.
+        members: Number of models, at least 2: one alone cannot disagree.
+        outcomes: Gaussians that make up each prediction.
+        hidden_dims: Width of every hidden layer.
+        noise_floor: Standard deviation added to every prediction, in whitened units.
+        member_per_row: Let each transition of a batch train one member, in turn, instead of every
+            member by a bootstrap: for as many times less as there are members.
+        whitening: Unit of observations and changes: their mean and standard deviation, or median
+            and interquartile range, which no tail moves.
+        features: Maps observations to what of the next one is predicted, in units of its own; the
+            whole observation when `None`. Inputs are whole observations either way. A module is
+            kept in `state_dict`, set to evaluation, and its parameters are frozen for good: what
+            is predicted must not run away from the prediction. Another callable that learns must
+            see to that itself. Both are asked once here, in float32 on the CPU.
+
+    Raises:
+        ValueError: If `members` is below 2, a count, dimension or the floor is not positive, or
+            `features` gives no batch of vectors.
+    """
+
+    held_out_nll: Tensor
+    held_out_coverage: Tensor
+
+    def __init__(
+        self,
+        observation_dim: int,
+        action_dim: int,
+        *,
+        members: int = 5,
+        outcomes: int = 1,
+        hidden_dims: Sequence[int] = (256, 256),
+        noise_floor: float = 0.05,
+        member_per_row: bool = False,
+        whitening: Literal["moments", "robust"] = "moments",
+        features: Features | None = None,
+    ) -> None:
+        super().__init__()
+        if whitening not in WHITENINGS:
+            raise ValueError(f"`whitening` must be 'moments' or 'robust', got {whitening!r}.")
+        if members < 2:
+            raise ValueError(
+                f"`members` must be at least 2 to measure disagreement, got {members}."
+            )
+        check_counts(observation_dim=observation_dim, action_dim=action_dim, outcomes=outcomes)
+        if not 0 < noise_floor < math.inf:
+            raise ValueError(f"`noise_floor` must be positive and finite, got {noise_floor}.")
+        self.members = members
+        self.outcomes = outcomes
+        self.noise_floor = noise_floor
+        self.member_per_row = member_per_row
+        self.features = features
+        if isinstance(features, nn.Module):
+            features.eval().requires_grad_(False)
+        self.predicted_dim = (
+            observation_dim if features is None else count_features(features, observation_dim)
+        )
+        self.network = StackedMLP(
+            members,
+            observation_dim + action_dim,
+            hidden_dims,
+            2 * outcomes * self.predicted_dim + outcomes - 1,
+        )
+        if outcomes > 1:
+            self._spread_outcomes(self.predicted_dim)
+        self.observation_moments = WHITENINGS[whitening](observation_dim)
+        self.change_moments = WHITENINGS[whitening](self.predicted_dim)
+        self.feature_moments = (
+            None if features is None else WHITENINGS[whitening](self.predicted_dim)
+        )
+        self.register_buffer("held_out_nll", torch.tensor(math.nan))
+        self.register_buffer("held_out_coverage", torch.tensor(math.nan))
+
+    def forward(
+        self,
+        observation: Float[Tensor, "*#members batch observation_dim"],
+        action: Float[Tensor, "*#members batch action_dim"],
+    ) -> Prediction:
+        """Whitened next state of each member, for one shared batch or for a batch of each."""
+        change = self._whitened_change(observation, action)
+        moments = self.feature_moments or self.observation_moments
+        ratio = self.change_moments.scale / moments.scale
+        shift = moments.normalize(self._featured(observation) + self.change_moments.center)
+        shift = shift.unsqueeze(-2)  # *members batch 1 features
+        log_floor = torch.full_like(change.log_var, 2 * math.log(self.noise_floor))
+        log_var = torch.logaddexp(change.log_var + 2 * ratio.log(), log_floor)
+        return Prediction(shift + ratio * change.loc, log_var, change.log_weight)
+
+    def loss(self, transition: Transition) -> Float[Tensor, ""]:
+        """Negative log-likelihood of the whitened change, in nats, summed over members.
+
+        Every member weighs the batch by its own bootstrap (Poisson counts), or has its own share
+        of the rows. One transition in twenty, chosen for good by its content, trains no member and
+        is measured.
+        """
+        observation, action, _, next_observation, *_ = transition
+        held_out = is_held_out(torch.cat([observation, action, next_observation], -1))
+        num_trained = (~held_out).sum().clamp(min=1)
+        if self.member_per_row:
+            row, once = rows_in_turn(observation.shape[0], self.members, observation.device)
+            observation, action, next_observation, held_out = (
+                field[row] for field in (observation, action, next_observation, held_out)
+            )
+            weight = (once & ~held_out) * float(self.members)
+        else:
+            ones = observation.new_ones(self.members, *held_out.shape)
+            weight = torch.poisson(ones).masked_fill_(held_out, 0.0)
+        change, target = self._change_and_target(observation, action, next_observation)
+        nll = _negative_log_likelihood(change, target)
+        with torch.no_grad():
+            self._track_held_out(nll, _quantile(change, target), held_out)
+        return (weight * nll).sum() / num_trained
+
+    def negative_log_likelihood(self, transition: Transition) -> Float[Tensor, "members batch"]:
+        """Negative log-likelihood of the whitened change under each member, in nats."""
+        observation, action, _, next_observation, *_ = transition
+        return _negative_log_likelihood(
+            *self._change_and_target(observation, action, next_observation)
+        )
+
+    @torch.no_grad()
+    def observe(self, transition: Transition) -> None:
+        """Update the statistics that whiten observations, features and changes.
+
+        Raises:
+            ValueError: If a feature is NaN or infinite. The statistics are then as before.
+        """
+        before = self._featured(transition.observation)
+        after = self._featured(transition.next_observation)
+        if self.feature_moments is not None:
+            check_finite(features=torch.cat([before, after]))
+            self.feature_moments.update(before)
+        self.observation_moments.update(transition.observation)
+        self.change_moments.update(after - before)
+
+    def metrics(self) -> dict[str, Tensor]:
+        """Held-out negative log-likelihood in nats, and coverage of the 90 % interval."""
+        return {
+            "model_held_out_nll": self.held_out_nll.clone(),
+            "model_coverage_90": self.held_out_coverage.clone(),
+        }
+
+    def _featured(
+        self, observation: Float[Tensor, "*batch observation_dim"]
+    ) -> Float[Tensor, "*batch features"]:
+        """What of observations is predicted."""
+        if self.features is None:
+            return observation
+        return self.features(observation.flatten(0, -2)).unflatten(0, observation.shape[:-1])
+
+    @torch.no_grad()
+    def _spread_outcomes(self, dim: int) -> None:
+        """Begin with outcomes apart, at quantiles of a standard Gaussian, the same everywhere.
+
+        So none starves another, and no two change places between one action and the next. Each
+        member and feature pairs them by a sign of its own.
+        """
+        level = (torch.arange(self.outcomes) + 0.5) / self.outcomes
+        sign = 2.0 * torch.randint(2, (self.members, 1, 1, dim)) - 1
+        spread = sign * torch.special.ndtri(level).unsqueeze(-1)
+        for parameter, start in zip(
+            self.network.layers[-1].parameters(), (0, spread), strict=True
+        ):
+            shape = parameter[..., : 2 * self.outcomes * dim]
+            shape.unflatten(-1, (self.outcomes, -1))[..., :dim] = start
+
+    def _change_and_target(
+        self, observation: Tensor, action: Tensor, next_observation: Tensor
+    ) -> tuple[Prediction, Float[Tensor, "*#members batch features"]]:
+        """Predicted and true change, both whitened."""
+        prediction = self._whitened_change(observation, action)
+        change = self._featured(next_observation) - self._featured(observation)
+        if self.features is not None:
+            change = change.detach()  # features that learn are none of the models' business
+        return prediction, self.change_moments.normalize(change)
+
+    def _whitened_change(self, observation: Tensor, action: Tensor) -> Prediction:
+        pair = torch.cat([self.observation_moments.normalize(observation), action], dim=-1)
+        output = self.network(pair)
+        dim = self.predicted_dim
+        shape, logits = output.tensor_split([2 * self.outcomes * dim], dim=-1)
+        loc, raw_log_var = shape.unflatten(-1, (self.outcomes, 2 * dim)).chunk(2, dim=-1)
+        return Prediction(
+            loc, soft_clamp(raw_log_var, *LOG_VAR_RANGE), log_softmax_of_rest(logits)
+        )
+
+    def _track_held_out(self, nll: Tensor, quantile: Tensor, held_out: Tensor) -> None:
+        """Fold the held-out rows of a batch into running averages; no row changes nothing."""
+        weight = held_out.expand_as(nll).to(nll.dtype)
+        weight = weight / weight.sum()
+        inside = ((quantile > 0.05) & (quantile < 0.95)).to(nll.dtype).mean(-1)
+        for average, value in ((self.held_out_nll, nll), (self.held_out_coverage, inside)):
+            latest = (value * weight).sum()
+            blended = torch.where(
+                average.isnan(), latest, average.lerp(latest, 1 - HELD_OUT_DECAY)
+            )
+            average.copy_(torch.where(blended.isnan(), average, blended))
+
+
+@torch.no_grad()
+def count_features(features: Features, observation_dim: int) -> int:
+    """Length of what `features` makes of an observation, found by asking it.
+
+    Raises:
+        ValueError: If it makes no batch of vectors.
+    """
+    value = features(torch.zeros(2, observation_dim))
+    if value.ndim != 2 or value.shape[0] != 2 or value.shape[1] == 0:
+        raise ValueError(
+            f"`features` must map observations (2, {observation_dim}) to (2, features), "
+            f"got {tuple(value.shape)}."
+        )
+    return value.shape[1]
+
+
+def _negative_log_likelihood(
+    prediction: Prediction, target: Float[Tensor, "*#members batch dim"]
+) -> Float[Tensor, "members batch"]:
+    log_prob = gaussian_log_prob(
+        target.unsqueeze(-2), prediction.loc, 0.5 * prediction.log_var
+    )  # members batch outcomes
+    return -torch.logsumexp(log_prob + prediction.log_weight, dim=-1)
+
+
+def _quantile(
+    prediction: Prediction, target: Float[Tensor, "*#members batch dim"]
+) -> Float[Tensor, "members batch dim"]:
+    """Probability of a value below the target, in each coordinate: uniform where calibrated."""
+    standard = (target.unsqueeze(-2) - prediction.loc) * torch.exp(-0.5 * prediction.log_var)
+    return (prediction.log_weight.exp().unsqueeze(-1) * torch.special.ndtr(standard)).sum(-2)
+
+
+def soft_clamp(value: Float[Tensor, "*batch"], low: float, high: float) -> Float[Tensor, "*batch"]:
+    """Squeeze into an interval by a slope that never vanishes: a stray log variance returns."""
+    value = high - softplus(high - value)
+    return low + softplus(value - low)
+
+
+def is_held_out(row: Float[Tensor, "batch dim"]) -> Bool[Tensor, " batch"]:
+    """Mark one row in twenty by a hash of its bits: the same rows in every batch and every run."""
+    bits = row.float().contiguous().view(torch.int32).long() + HASH_OFFSET
+    # two products: triton would keep the sum of the factors in 32 bits
+    mixed = bits * HASH_FACTOR + bits * (2 * torch.arange(bits.shape[-1], device=bits.device))
+    mixed = mixed.sum(-1)
+    return (scrambled(mixed) >> 32) % HELD_OUT_SHARE == 0

@@ -1,0 +1,229 @@
+"""The usual next state: a mixture density `p_pi(x')` over what the policy leads to."""
+
+import math
+from typing import Literal, NamedTuple
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from deep_curiosity.distributions import gaussian_log_prob
+from deep_curiosity.gaussians import (
+    expected_log_density,
+    kl_to_mixture_lower,
+    kl_to_mixture_upper,
+    mixture_log_density,
+)
+from deep_curiosity.speed.precision import matmul_is_float32
+
+LOG_BANDWIDTH_RANGE = (math.log(1e-3), math.log(10.0))  # searched for a target perplexity
+BISECTIONS = 20  # halvings of that range: to a factor of 1.00001
+
+
+class Information(NamedTuple):
+    """Two estimates of the information `I({X, A}; X')`, in nats, that enclose it on average."""
+
+    lower: Float[Tensor, ""]
+    upper: Float[Tensor, ""]
+
+
+class NextStateMarginal(nn.Module):
+    r"""Mixture of predicted next states with a bandwidth, equations (20) and (24).
+
+    The newest predictions replace the oldest. A nearly deterministic world predicts spikes, and a
+    mixture of spikes has holes: every component is therefore widened by `h^2` times the variance
+    of the component means, which makes the mixture a kernel density estimate.
+
+    Args:
+        dim: Number of whitened features of a state.
+        components: Number of Gaussians, M.
+        bandwidth: `"silverman"` for `h^2 = (4 / (d + 2))^(2 / (d + 4)) M^(-2 / (d + 4))`; a number
+            for `h` itself; `"perplexity"` for the `h` at which a component resembles
+            `target_perplexity` components, itself included.
+        target_perplexity: Read only by `bandwidth="perplexity"`.
+
+    Raises:
+        ValueError: If a count or a scale is out of range.
+
+    Reference: Silverman, "Density Estimation for Statistics and Data Analysis" (1986), (4.14).
+    """
+
+    loc: Tensor
+    log_var: Tensor
+    log_weight: Tensor
+    log_spread: Tensor
+    component_log_var: Tensor
+    """Log variance of every component, bandwidth included, `(components, dim)`."""
+    num_seen: Tensor
+
+    def __init__(
+        self,
+        dim: int,
+        *,
+        components: int = 256,
+        bandwidth: float | Literal["silverman", "perplexity"] = "silverman",
+        target_perplexity: float = 8.0,
+    ) -> None:
+        super().__init__()
+        if components < 2:
+            raise ValueError(f"`components` must be at least 2, got {components}.")
+        named = bandwidth in ("silverman", "perplexity")
+        if not named and not (isinstance(bandwidth, int | float) and 0 < bandwidth < math.inf):
+            raise ValueError(
+                "`bandwidth` must be 'silverman', 'perplexity' or a positive number, "
+                f"got {bandwidth!r}."
+            )
+        if bandwidth == "perplexity" and not 1 < target_perplexity < components:
+            raise ValueError(
+                f"`target_perplexity` must lie between 1 and `components` ({components}), "
+                f"got {target_perplexity}."
+            )
+        self.bandwidth = bandwidth
+        self.target_perplexity = target_perplexity
+        self.register_buffer("loc", torch.zeros(components, dim))
+        self.register_buffer("log_var", torch.zeros(components, dim))
+        self.register_buffer("log_weight", torch.full((components,), -math.inf))
+        self.register_buffer("log_spread", torch.full((dim,), -math.inf))
+        self.register_buffer("component_log_var", torch.zeros(components, dim), persistent=False)
+        self.register_buffer("num_seen", torch.zeros((), dtype=torch.long))
+        self.is_empty = True
+        """Whether no state has been seen yet."""
+        self._num_seen = 0  # the same as a plain number: to read it waits for no device
+        self.register_load_state_dict_post_hook(_restore)
+
+    @torch.no_grad()
+    def refresh(
+        self, loc: Float[Tensor, "batch dim"], log_var: Float[Tensor, "batch dim"]
+    ) -> None:
+        """Let predicted next states take the place of the oldest components, and fit `h`."""
+        components = self.loc.shape[0]
+        loc, log_var = loc[-components:], log_var[-components:]
+        slot = (self._num_seen + torch.arange(loc.shape[0], device=loc.device)) % components
+        self.loc[slot], self.log_var[slot] = loc, log_var
+        self._num_seen += loc.shape[0]
+        self.num_seen.fill_(self._num_seen)
+        num_filled = min(self._num_seen, components)
+        self.log_weight[:num_filled] = -math.log(num_filled)
+        self._fit_bandwidth(num_filled)
+        self.is_empty = False
+
+    def kl_upper(
+        self, loc: Float[Tensor, "*batch dim"], log_var: Float[Tensor, "*batch dim"]
+    ) -> Float[Tensor, "*batch"]:
+        """Upper bound of `KL(prediction || marginal)`, equation (18), in nats.
+
+        Every component is widened by the bandwidth, so a float32 product is exact enough, where it
+        is float32 indeed.
+        """
+        exact = matmul_is_float32(loc.device.type)
+        return kl_to_mixture_upper(
+            loc,
+            log_var,
+            self.loc,
+            self.component_log_var,
+            self.log_weight,
+            product_dtype=torch.float32 if exact else torch.float64,
+        )
+
+    def kl_lower(
+        self, loc: Float[Tensor, "*batch dim"], log_var: Float[Tensor, "*batch dim"]
+    ) -> Float[Tensor, "*batch"]:
+        """Lower bound of `KL(prediction || marginal)`, equation (18), in nats."""
+        return kl_to_mixture_lower(loc, log_var, self.loc, self.component_log_var, self.log_weight)
+
+    def log_density(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch"]:
+        """Log density of next states, in nats."""
+        return mixture_log_density(value, self.loc, self.component_log_var, self.log_weight)
+
+    def perplexity(self) -> Float[Tensor, ""]:
+        """How many components a component resembles, itself included: `exp` of mean entropy."""
+        return self._perplexity(self.component_log_var)
+
+    def information(self, noise: Float[Tensor, "samples components dim"]) -> Information:
+        r"""Information about the next state in where one is and what one does there, in nats.
+
+        Every component `f_j` is the prediction of a state-action pair, and `x` is drawn from it:
+
+        .. math::
+            I_{lower} = E \log \frac{f_j(x)}{\frac{1}{M} \sum_k f_k(x)}, \quad
+            I_{upper} = E \log \frac{f_j(x)}{\frac{1}{M-1} \sum_{k \ne j} \tilde f_k(x)}
+
+        With its own component included, a pair is at most `log M` nats from the mixture: the
+        estimate is low on average. With it left out, nothing in the mixture knows of the pair, and
+        the estimate is high on average, whatever the density: the components `f~` are widened by
+        the bandwidth, without which it would be the height of spikes over holes. A pair that is
+        asked for its bonus is no component itself, so there the question does not arise.
+
+        Args:
+            noise: Standard normal draws for every component.
+
+        Returns:
+            Both estimates; the upper one is infinite while there are not two components.
+
+        Reference: Poole et al., "On Variational Bounds of Mutual Information" (2019),
+        https://arxiv.org/abs/1905.06922; equations (12) and (13).
+        """
+        log_std = 0.5 * self.log_var
+        value = self.loc + log_std.exp() * noise  # samples components dim
+        own = gaussian_log_prob(value, self.loc, log_std)
+        everyone = mixture_log_density(value, self.loc, self.log_var, self.log_weight)
+        point = torch.full_like(value, -math.inf)
+        others = expected_log_density(
+            value, point, self.loc, self.component_log_var, self.log_weight
+        )  # samples components components
+        itself = torch.eye(len(self.loc), dtype=torch.bool, device=self.loc.device)
+        weight = self.log_weight.exp()
+        without = torch.logsumexp(others.masked_fill(itself, -math.inf), dim=-1)
+        without = without - torch.log1p(-weight)
+        upper = ((own - without).mean(0) * weight).sum()
+        return Information(
+            lower=((own - everyone).mean(0) * weight).sum(),
+            upper=torch.where(self.num_seen < 2, math.inf, upper),
+        )
+
+    def _perplexity(self, component_log_var: Tensor) -> Tensor:
+        log_density = expected_log_density(
+            self.loc, self.log_var, self.loc, component_log_var, self.log_weight
+        )
+        log_share = torch.log_softmax(log_density, dim=-1)
+        entropy = torch.special.entr(log_share.exp()).sum(-1)
+        return (self.log_weight.exp() * entropy).sum().exp()
+
+    def _fit_bandwidth(self, num_filled: int) -> None:
+        """Set the variance that widens every component, `h^2` times the variance of the means."""
+        spread = self.loc[:num_filled].var(0, correction=0).log()
+        if self.bandwidth == "silverman":
+            log_bandwidth = silverman_log_bandwidth(num_filled, self.loc.shape[1])
+        elif self.bandwidth == "perplexity":
+            log_bandwidth = self._log_bandwidth_at_target(spread)
+        else:
+            log_bandwidth = math.log(self.bandwidth)
+        self.log_spread.copy_(spread + 2 * log_bandwidth)
+        self._widen()
+
+    def _widen(self) -> None:
+        """Widen all components by the bandwidth, once for all questions up to the next refresh."""
+        self.component_log_var.copy_(torch.logaddexp(self.log_var, self.log_spread))
+
+    def _log_bandwidth_at_target(self, spread: Tensor) -> float:
+        """Bisect `log h`: the perplexity grows with it."""
+        low, high = LOG_BANDWIDTH_RANGE
+        for _ in range(BISECTIONS):
+            middle = 0.5 * (low + high)
+            widened = torch.logaddexp(self.log_var, spread + 2 * middle)
+            if self._perplexity(widened) < self.target_perplexity:
+                low = middle
+            else:
+                high = middle
+        return 0.5 * (low + high)
+
+
+def _restore(marginal: NextStateMarginal, _: object) -> None:
+    marginal._num_seen = int(marginal.num_seen)
+    marginal.is_empty = marginal._num_seen == 0
+    marginal._widen()
+
+
+def silverman_log_bandwidth(num_points: int, dim: int) -> float:
+    """Log of Silverman's bandwidth for points of unit variance in `dim` dimensions."""
+    return (math.log(4 / (dim + 2)) - math.log(num_points)) / (dim + 4)

@@ -1,0 +1,113 @@
+"""Check a bonus on your environment: `python -m deep_curiosity.integrations.check ENV_ID`."""
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Annotated
+
+import torch
+
+from deep_curiosity.integrations.check.experiments import check_integration
+from deep_curiosity.integrations.check.profile import Profile, profile
+
+try:
+    import tyro
+
+    from deep_curiosity.training.environments import make_environment
+    from deep_curiosity.integrations.trainer import LearnerIntegration
+    from deep_curiosity.training.config import Settings
+except ImportError as error:
+    raise ImportError(f"{error.name} is missing: pip install 'deep-curiosity[scripts]'") from error
+
+
+@dataclass(frozen=True)
+class Args:
+    """What to check."""
+
+    env_id: Annotated[str, tyro.conf.Positional]
+    """Task: one of ours, a gymnasium id, or dm_control/DOMAIN-TASK-v0."""
+    env_kwargs: dict[str, float] = field(default_factory=dict)
+    """Keyword arguments of the environment, such as: action_cost 0.1"""
+    history: int = 1
+    """As for training."""
+    bonus: str = "curiosity"
+    """As for training."""
+    num_steps: int = 2_000
+    """Random steps to look at; as many are collected for the check."""
+    num_updates: int = 200
+    """Updates of the agent before its bonus is looked at."""
+    seed: int = 0
+    """Of all random numbers."""
+
+
+def main(args: Args) -> bool:
+    """Print the profile and the check; return whether all is well."""
+    settings = Settings(
+        env_id=args.env_id,
+        env_kwargs=args.env_kwargs,
+        history=args.history,
+        bonus=args.bonus,  # type: ignore[arg-type]  # checked by the settings
+        hidden_dim=64,
+        seed=args.seed,
+    )
+    environment = make_environment(args.env_id, args.env_kwargs, history=args.history)
+    seen = profile(environment, num_steps=args.num_steps, seed=args.seed)
+    print(describe(seen, environment.unwrapped.action_space))
+    environment.close()
+    agent = LearnerIntegration(settings)
+    report = check_integration(agent, num_steps=args.num_steps, seed=args.seed)
+    print(report)
+    for _ in range(args.num_updates):
+        agent.learner.update()
+    print(describe_bonus(agent))
+    return report.passed
+
+
+def describe(seen: Profile, action_space: object) -> str:
+    """The profile as text."""
+    low, high = seen.reward_range
+    lines = [
+        f"Actions: {action_space}, given in [-1, 1]",
+        f"{len(seen.observation)} steps, {seen.num_episodes} episodes ended, "
+        f"{seen.num_not_finite} steps with NaN or infinity, rewards from {low:.4g} to {high:.4g}",
+        "",
+        table(seen.features()),
+    ]
+    if any(row["mind"] == "heavy tail" for row in seen.features()):
+        lines.append(
+            "Heavy tails blur the rest: bound such features before the bonus sees them, "
+            'or make it with whitening="robust".'
+        )
+    return "\n".join([*lines, ""])
+
+
+def describe_bonus(agent: LearnerIntegration) -> str:
+    """What the bonus says of itself after some updates."""
+    metrics = {name: value.item() for name, value in agent.bonus.metrics().items()}
+    lines = ["", *(f"{name:22} {value:.4g}" for name, value in metrics.items())]
+    if "floor_share" in metrics:
+        lines.append(
+            f"The noise floor makes {metrics['floor_share']:.0%} of the predicted variance: the "
+            "nearer to all of it, the more D tells where actions lead, not what is uncertain."
+        )
+    return "\n".join(lines)
+
+
+def table(rows: Sequence[dict[str, str]]) -> str:
+    """Rows under their columns."""
+    columns = list(rows[0])
+    cells = [columns, *([row[name] for name in columns] for row in rows)]
+    widths = [max(len(line[number]) for line in cells) for number in range(len(columns))]
+    return "\n".join(
+        "  ".join(f"{cell:>{width}}" for cell, width in zip(line, widths, strict=True)).rstrip()
+        for line in cells
+    )
+
+
+if __name__ == "__main__":
+    torch.set_num_threads(1)
+    try:
+        all_is_well = main(tyro.cli(Args, description=__doc__))
+    except (ImportError, OSError, RuntimeError, ValueError) as error:
+        sys.exit(f"error: {error}")
+    sys.exit(0 if all_is_well else 1)

@@ -1,0 +1,233 @@
+"""Experiments that show whether a bonus works inside an agent."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from deep_curiosity.integrations.check.findings import Finding, Report
+from deep_curiosity.integrations.base import Integration
+from deep_curiosity.transitions import Transition
+
+PATTERN_STRENGTH = 10.0  # of the bonus put in the place of the real one; rewards have size one
+NUM_UPDATES = 20  # until the critic has told the actor, which may be updated more seldom
+CONSTANT_SPREAD = 1e-6  # of the size of the answers: float32 cannot tell less
+REWARD_ERROR = 1e-5  # relative; rewards go through float32
+OBSERVATION_ERROR = 1e-5
+
+
+def check_integration(agent: Integration, *, num_steps: int = 400, seed: int = 0) -> Report:
+    """Find out by experiment whether a bonus works inside an agent.
+
+    The agent collects some steps and is saved. Copies of it then learn with the bonus replaced,
+    in the one by zero, in the other by a strong pattern: where the bonus reaches the critic, the
+    two must part.
+
+    Args:
+        agent: With its bonus; it is left a little further in its training.
+        num_steps: Environment steps to collect; enough for an episode to be cut off by its clock.
+        seed: Of all random numbers.
+
+    Returns:
+        The lines `finite`, `not constant`, `raw`, `ends`, `targets`, `fresh`, `actor` and `state`.
+    """
+    with TemporaryDirectory() as name:
+        folder = Path(name)
+        given = agent.collect(num_steps, seed=seed)
+        stored = agent.stored()
+        copies = _Copies(agent, _saved(agent, folder / "before"), num_steps, seed)
+        others = [_check_rewards(copies), _check_ends(given, stored), *_check_acts(copies)]
+        answers = _check_answers(agent, stored, seed)
+        spoiled = Finding("state", None, "the agent has learned from no numbers", "see above")
+        state = _check_state(agent, folder / "after", seed) if answers[0].passed else spoiled
+    return Report((*answers, *others, state))
+
+
+@dataclass(frozen=True)
+class _Copies:
+    """Makes copies of a saved agent that live with another bonus."""
+
+    agent: Integration
+    folder: Path
+    num_steps: int
+    seed: int
+
+    def live(
+        self, bonus: Callable[..., Tensor], *, collecting: bool = True, updates: int = 1
+    ) -> tuple[Integration, Transition | None]:
+        """Let a copy learn, and collect before that, with its bonus replaced.
+
+        Returns:
+            The copy, and what its environment gave.
+        """
+        copy = self.agent.load(self.folder)
+        copy.bonus.forward = bonus  # type: ignore[method-assign]
+        given = copy.collect(self.num_steps, seed=self.seed) if collecting else None
+        for update in range(updates):
+            copy.learn(seed=self.seed + update)
+        return copy, given
+
+    def parted(self, part: Callable[[Integration], list[Tensor]], **life: Any) -> float:
+        """How far apart are two copies, of which one earns nothing and one a strong pattern."""
+        silent, marked = (self.live(bonus, **life)[0] for bonus in (_silence, _pattern))
+        return _distance(part(silent), part(marked))
+
+
+def _silence(observation: Tensor, *others: Tensor | None) -> Tensor:
+    return observation.new_zeros(observation.shape[0])
+
+
+def _pattern(observation: Tensor, action: Tensor, *others: Tensor | None) -> Tensor:
+    """A strong bonus that tells pairs apart, and never vanishes."""
+    return PATTERN_STRENGTH * (2 + torch.sin(observation.sum(-1) + 3 * action.sum(-1)))
+
+
+def _check_answers(agent: Integration, stored: Transition, seed: int) -> list[Finding]:
+    """Whether the bonus itself, after an update, says anything."""
+    try:
+        agent.learn(seed=seed)
+        observation, action, _, next_observation, *_ = stored
+        with torch.no_grad():
+            bonus = agent.bonus(observation, action, next_observation)
+        broken = int((~bonus.isfinite()).sum())
+        spread = bonus[bonus.isfinite()].std().item() if broken < len(bonus) - 1 else math.nan
+        size = bonus[bonus.isfinite()].abs().max().item() if broken < len(bonus) else math.nan
+    except Exception as error:  # whatever a foreign agent raises is a finding
+        failed = f"{type(error).__name__}: {error}"
+        return [Finding("finite", False, failed, "make one update run without an error")]
+    constant = not spread > CONSTANT_SPREAD * max(size, 1e-30)
+    return [
+        Finding(
+            "finite",
+            broken == 0,
+            f"{broken} of {len(bonus)} answers are NaN or infinite",
+            "look for NaN in observations, zero scales, or a bonus asked before it observed",
+        ),
+        Finding(
+            "not constant",
+            None if broken else not constant,
+            f"standard deviation {spread:.3g} over what is stored",
+            "show the bonus batches by `loss` and `observe`, and check the order of its arguments",
+        ),
+    ]
+
+
+def _check_rewards(copies: _Copies) -> Finding:
+    """Whether the bonus is counted at learning, and nowhere else."""
+    marked, given = copies.live(_pattern)
+    assert given is not None
+    newest = marked.stored().reward[-len(given.reward) :]
+    error = (newest - given.reward).abs().max().item()
+    return Finding(
+        "raw",
+        error <= REWARD_ERROR * max(1.0, given.reward.abs().max().item()),
+        f"stored rewards differ from the environment's by at most {error:.3g}",
+        "store rewards as the environment gives them, and add the bonus to a copy when sampling",
+    )
+
+
+def _check_ends(given: Transition, stored: Transition) -> Finding:
+    """Whether replay knows how episodes ended, and what they ended with."""
+    newest = Transition(*(field[-len(given.reward) :] for field in stored))
+    flags = sum(
+        int((getattr(newest, name) != getattr(given, name)).sum())
+        for name in ("terminated", "truncated")
+    )
+    distance = (newest.next_observation - given.next_observation).abs()
+    wrong = int((distance > OBSERVATION_ERROR).any(-1).sum())
+    num_ends = int((given.terminated | given.truncated).sum())
+    return Finding(
+        "ends",
+        None if num_ends == 0 else flags == 0 and wrong == 0,
+        f"{num_ends} episodes ended; {flags} flags and {wrong} successors differ",
+        "keep `terminated` and `truncated` apart, and store the final observation of an episode, "
+        "not the first one of the next",
+    )
+
+
+def _check_acts(copies: _Copies) -> list[Finding]:
+    """Whether the bonus moves critic and actor; of one that does not, nothing more is asked."""
+    targets = _check_targets(copies)
+    if targets.passed:
+        return [targets, _check_fresh(copies), _check_actor(copies)]
+    unasked = ("the bonus does not reach the critic", "see above")
+    return [targets, Finding("fresh", None, *unasked), Finding("actor", None, *unasked)]
+
+
+def _check_targets(copies: _Copies) -> Finding:
+    """Whether the bonus reaches the critic at all, wherever it may be added."""
+    moved = copies.parted(lambda copy: copy.critic())
+    return Finding(
+        "targets",
+        moved > 0,
+        f"another bonus moves the critic by {moved:.3g} in an update",
+        "the bonus is dropped: add it to the reward before the critic's targets, or before "
+        "returns and advantages, are computed",
+    )
+
+
+def _check_fresh(copies: _Copies) -> Finding:
+    """Whether what was collected under an older bonus is learned under the newest."""
+    moved = copies.parted(lambda copy: copy.critic(), collecting=False)
+    return Finding(
+        "fresh",
+        moved > 0,
+        f"a bonus that changes after collection moves the critic by {moved:.3g}",
+        "compute the bonus of each batch when it is learned from, not when it is collected",
+    )
+
+
+def _check_actor(copies: _Copies) -> Finding:
+    """Whether, by the critic, the bonus reaches the actor."""
+    moved = copies.parted(lambda copy: copy.actor(), updates=NUM_UPDATES)
+    return Finding(
+        "actor",
+        moved > 0,
+        f"another bonus moves the actor by {moved:.3g} in {NUM_UPDATES} updates",
+        "let the actor climb the critic that learns from the bonus",
+    )
+
+
+def _check_state(agent: Integration, folder: Path, seed: int) -> Finding:
+    """Whether two copies of what was saved are the same agent, and learn the same."""
+    saved = _saved(agent, folder)
+    first, second = agent.load(saved), agent.load(saved)
+    lost = [
+        name
+        for name, value in agent.bonus.state_dict().items()
+        if not _same(value, first.bonus.state_dict()[name])
+    ]
+    stored_alike = all(map(_same, agent.stored(), first.stored()))
+    for copy in (first, second):
+        copy.learn(seed=seed)
+    apart = _distance(first.critic(), second.critic())
+    seen = f"{len(lost)} entries of the bonus lost, replay {'kept' if stored_alike else 'lost'}"
+    return Finding(
+        "state",
+        not lost and stored_alike and apart == 0,
+        seen + ("" if apart == 0 else f", copies part by {apart:.3g}"),
+        "save the bonus's `state_dict`, its optimiser and the replay with the agent",
+    )
+
+
+def _saved(agent: Integration, folder: Path) -> Path:
+    folder.mkdir()
+    agent.save(folder)
+    return folder
+
+
+def _distance(first: list[Tensor], second: list[Tensor]) -> float:
+    """Largest difference of two lists of parameters; NaN counts as none where both have it."""
+    return max(
+        (one - other).detach().nan_to_num().abs().max().item()
+        for one, other in zip(first, second, strict=True)
+    )
+
+
+def _same(first: Tensor, second: Tensor) -> bool:
+    return torch.equal(first.cpu().double().nan_to_num(), second.cpu().double().nan_to_num())

@@ -1,0 +1,136 @@
+"""The callback that tells a curious buffer about its agent, and the logger about the bonus."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import torch
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.type_aliases import PyTorchObs
+from torch import Tensor, nn
+
+from deep_curiosity.integrations.stable_baselines3.replay import (
+    CuriousNStepReplayBuffer,
+    CuriousReplayBuffer,
+)
+from deep_curiosity.integrations.stable_baselines3.rollout import CuriousRolloutBuffer
+from deep_curiosity.transitions import check_counts
+
+
+class CuriosityCallback(BaseCallback):
+    """Gives the bonus fresh actions of the agent, and logs the bonus under `curiosity/`.
+
+    For SAC and its kin it may be left out: the bonus then takes a batch's own actions for what the
+    agent would do now, and nothing is logged. For PPO and A2C it must be there, since only it sees
+    the true successor where an episode ended.
+
+    Args:
+        log_interval: Least number of environment steps from one record to the next. What is
+            recorded is written with the library's own logs.
+
+    Raises:
+        TypeError: When learning starts, if the agent has no curious buffer.
+        ValueError: If the interval is below 1, or, when learning starts, if a buffer of several
+            steps has another discount than its agent.
+    """
+
+    def __init__(self, log_interval: int = 1_000) -> None:
+        super().__init__()
+        check_counts(log_interval=log_interval)
+        self.log_interval = log_interval
+        self._next_record = 0
+        self._observation: Any = None
+
+    def _on_training_start(self) -> None:
+        self._next_record = self.num_timesteps
+        buffer = self._buffer
+        if isinstance(buffer, CuriousRolloutBuffer):
+            self._observation = self._raw(self.model._last_obs)
+        else:
+            self._check_discount(buffer)
+            buffer.companion.actor = self._act
+
+    def _on_step(self) -> bool:
+        buffer = self._buffer
+        if isinstance(buffer, CuriousRolloutBuffer):
+            self._record_step(buffer)
+        return True
+
+    def _on_rollout_end(self) -> None:
+        if self.num_timesteps >= self._next_record and self._has_learned:
+            self._next_record = self.num_timesteps + self.log_interval
+            for name, value in self._buffer.companion.metrics().items():
+                self.logger.record(f"curiosity/{name}", value)
+
+    @property
+    def _buffer(self) -> CuriousReplayBuffer | CuriousRolloutBuffer:
+        for name in ("replay_buffer", "rollout_buffer"):
+            buffer = getattr(self.model, name, None)
+            if isinstance(buffer, CuriousReplayBuffer | CuriousRolloutBuffer):
+                return buffer
+        raise TypeError(
+            "CuriosityCallback needs a curious buffer: give the agent "
+            "`replay_buffer_class=CuriousReplayBuffer` or "
+            "`rollout_buffer_class=CuriousRolloutBuffer`."
+        )
+
+    @property
+    def _has_learned(self) -> bool:
+        return int(self._buffer.companion.learner.pace.num_calls) > 0
+
+    def _check_discount(self, buffer: CuriousReplayBuffer) -> None:
+        discount = self.model.gamma  # type: ignore[attr-defined]
+        if isinstance(buffer, CuriousNStepReplayBuffer) and buffer.gamma != discount:
+            raise ValueError(
+                f"`gamma` of the replay buffer must be that of the agent, {discount}, "
+                f"got {buffer.gamma}."
+            )
+
+    @torch.no_grad()
+    def _act(self, observation: PyTorchObs) -> Tensor:
+        """What the agent would do now, as it is stored: within [-1, 1]."""
+        actor = self.model.actor  # type: ignore[attr-defined]
+        with _evaluating(actor):
+            action: Tensor = actor(observation)
+        return action
+
+    def _record_step(self, buffer: CuriousRolloutBuffer) -> None:
+        following = self._raw(self.locals["new_obs"])
+        infos, done = self.locals["infos"], self.locals["dones"]
+        see = buffer.companion.see
+        successor = np.array(see(following))
+        for index in np.flatnonzero(done):  # the environment was reset: `following` is a start
+            successor[index] = see(self._unnormalized(infos[index]["terminal_observation"]))
+        timeout = np.array([info.get("TimeLimit.truncated", False) for info in infos])
+        actions = self.locals["clipped_actions"]
+        buffer.record(
+            see(self._observation), actions, self._raw_reward(), successor, done, timeout
+        )
+        self._observation = following
+
+    def _raw(self, observation: Any) -> Any:
+        """The newest observation, in the units of the environment."""
+        normalize = self.model.get_vec_normalize_env()
+        return observation if normalize is None else normalize.get_original_obs()
+
+    def _unnormalized(self, observation: Any) -> Any:
+        normalize = self.model.get_vec_normalize_env()
+        return observation if normalize is None else normalize.unnormalize_obs(observation)
+
+    def _raw_reward(self) -> np.ndarray:
+        normalize = self.model.get_vec_normalize_env()
+        reward: np.ndarray = self.locals["rewards"]
+        return reward if normalize is None else normalize.get_original_reward()
+
+
+@contextmanager
+def _evaluating(module: nn.Module) -> Iterator[None]:
+    """Hold batch normalisation and dropout still, and leave each layer in the mode it was in."""
+    modes = {part: part.training for part in module.modules()}
+    module.eval()
+    try:
+        yield
+    finally:
+        for part, mode in modes.items():
+            part.training = mode

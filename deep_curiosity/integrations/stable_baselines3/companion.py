@@ -1,0 +1,134 @@
+"""A bonus beside a buffer: what all the curious buffers share."""
+
+from collections.abc import Callable, Mapping
+from copy import deepcopy
+from typing import Any
+
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.type_aliases import PyTorchObs
+from torch import Tensor
+
+from deep_curiosity.integrations.stable_baselines3.spaces import CPU, bounded_space, observed_space
+from deep_curiosity.bonuses.base import Bonus, Policy
+from deep_curiosity.bonuses.registry import BonusLearner, make_bonus
+from deep_curiosity.transitions import Transition
+
+Actor = Callable[[PyTorchObs], Tensor]
+"""Draws actions in [-1, 1] for observations as the agent's own networks take them."""
+
+
+class Companion:
+    """A bonus with its learner, on the buffer's device; pickled with the buffer.
+
+    Args:
+        observation_space: Of the environment.
+        action_space: Of the environment.
+        bonus: A name from `BONUSES`, or a bonus, which is then used itself and not copied.
+        bonus_kwargs: Options of the bonus, where it is given by name.
+        learning_rate: Of the networks of the bonus.
+        update_interval: Batches from one gradient step of the bonus to the next.
+        observation_key: Entry of a dictionary observation that the bonus sees.
+
+    Raises:
+        TypeError: If `bonus` is neither a name nor a bonus.
+        ValueError: If the spaces hold no vectors, or an option is out of range or out of place.
+    """
+
+    actor: Actor | None
+
+    def __init__(
+        self,
+        observation_space: spaces.Space,
+        action_space: spaces.Space,
+        *,
+        bonus: str | Bonus = "curiosity",
+        bonus_kwargs: Mapping[str, Any] | None = None,
+        learning_rate: float = 1e-3,
+        update_interval: int = 1,
+        observation_key: str | None = None,
+    ) -> None:
+        (observation_dim,) = observed_space(observation_space, observation_key).shape
+        self.action_space = bounded_space(action_space)
+        (action_dim,) = self.action_space.shape
+        self.observation_key = observation_key
+        self.learner = BonusLearner(
+            _find_bonus(bonus, observation_dim, action_dim, bonus_kwargs),
+            learning_rate=learning_rate,
+            update_interval=update_interval,
+        )
+        self.device = CPU
+        self.actor = None
+        self.newest = torch.zeros(())
+
+    def to(self, device: torch.device) -> "Companion":
+        """The same, on the device where the buffer now hands out its samples."""
+        if device != self.device:
+            self.learner.to(device)
+            self.device = device
+        return self
+
+    def see(self, observation: Any) -> Any:
+        """What the bonus sees of an observation, or of all that are stored."""
+        return observation if self.observation_key is None else observation[self.observation_key]
+
+    def learn(self, transition: Transition, seen_by_actor: PyTorchObs | None = None) -> None:
+        """Let the bonus see a batch and learn from it at its own pace.
+
+        Args:
+            transition: Raw, in the units of the environment.
+            seen_by_actor: The same observations as the agent's networks take them: all keys of a
+                dictionary, normalised where the agent's are.
+        """
+        policy = None
+        if self.actor is not None and seen_by_actor is not None:
+            policy = _policy_at(transition.observation, self.actor, seen_by_actor)
+        self.learner.learn(transition, policy)
+
+    def ask(self, transition: Transition) -> Tensor:
+        """Bonus of each transition as the networks now stand."""
+        bonus = self.learner.ask(transition)
+        self.newest = bonus.mean()
+        return bonus
+
+    def metrics(self) -> dict[str, float]:
+        """What to log: the mean bonus of the newest batch, and the bonus's own metrics."""
+        metrics = {"bonus": self.newest} | self.learner.bonus.metrics()
+        return {name: value.item() for name, value in metrics.items()}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Without the agent, and on the CPU, so that any machine can load it."""
+        learner = self.learner
+        if self.device.type != "cpu":
+            learner = deepcopy(learner).cpu()
+        cpu = {"device": CPU, "newest": self.newest.cpu()}
+        return self.__dict__ | cpu | {"learner": learner, "actor": None}
+
+
+def _find_bonus(
+    bonus: str | Bonus,
+    observation_dim: int,
+    action_dim: int,
+    options: Mapping[str, Any] | None,
+) -> Bonus:
+    if isinstance(bonus, str):
+        return make_bonus(bonus, observation_dim, action_dim, **(options or {}))
+    if not isinstance(bonus, Bonus):
+        raise TypeError(f"`bonus` must be a name or a Bonus, got {type(bonus).__name__}.")
+    if options:
+        raise ValueError(f"`bonus_kwargs` is for a bonus given by name, got {dict(options)}.")
+    return bonus
+
+
+def _policy_at(observation: Tensor, actor: Actor, seen_by_actor: PyTorchObs) -> Policy:
+    """The actor as a function of what the bonus sees, known at the rows of one batch only."""
+
+    def act(asked: Tensor) -> Tensor:
+        if asked is not observation:
+            raise ValueError(
+                "`policy` must be asked at `transition.observation` itself, since the agent may "
+                f"see more than the bonus, got another tensor of shape {tuple(asked.shape)}."
+            )
+        return actor(seen_by_actor)
+
+    return act

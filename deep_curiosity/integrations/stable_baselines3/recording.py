@@ -1,0 +1,77 @@
+"""What really happens in a vector environment, written down where it happens."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from stable_baselines3.common.vec_env import VecEnv
+
+from deep_curiosity.integrations.stable_baselines3.companion import Companion
+from deep_curiosity.integrations.stable_baselines3.spaces import batch_of, mask_of, scaled
+from deep_curiosity.transitions import Transition
+
+
+@contextmanager
+def recorded(env: VecEnv, companion: Companion) -> Iterator[list[Transition]]:
+    """Record each step of a vector environment where it is taken, below all wrappers."""
+    steps: list[Transition] = []
+    latest: dict[str, Any] = {}
+    reset, step_async, step_wait = env.reset, env.step_async, env.step_wait
+
+    def reset_and_note() -> Any:
+        latest["observation"] = reset()
+        return latest["observation"]
+
+    def note_action(action: np.ndarray) -> None:
+        latest["action"] = np.array(action)
+        step_async(action)
+
+    def step_and_record() -> Any:
+        following, reward, done, infos = step_wait()
+        step = latest["observation"], latest["action"], reward, following, done, infos
+        steps.append(_ground_truth(companion, *step))
+        latest["observation"] = following
+        return following, reward, done, infos
+
+    spies = {"reset": reset_and_note, "step_async": note_action, "step_wait": step_and_record}
+    vars(env).update(spies)
+    try:
+        yield steps
+    finally:
+        for name in spies:
+            delattr(env, name)
+
+
+def _ground_truth(
+    companion: Companion,
+    observation: Any,
+    action: np.ndarray,
+    reward: np.ndarray,
+    following: Any,
+    done: np.ndarray,
+    infos: list[dict[str, Any]],
+) -> Transition:
+    """A step of all environments, copied before any wrapper can change it."""
+    successor = np.array(companion.see(following))
+    for index in np.flatnonzero(done):
+        successor[index] = companion.see(infos[index]["terminal_observation"])
+    timeout = np.array([info["TimeLimit.truncated"] for info in infos])
+    return Transition(
+        observation=batch_of(companion.see(observation)),
+        action=batch_of(scaled(action, companion.action_space)),
+        reward=batch_of(reward),
+        next_observation=batch_of(successor),
+        terminated=mask_of(done & ~timeout),
+        truncated=mask_of(done & timeout),
+    )
+
+
+@contextmanager
+def postponed(owner: object, name: str) -> Iterator[None]:
+    """Let a method do nothing for a while."""
+    setattr(owner, name, lambda *_, **__: None)
+    try:
+        yield
+    finally:
+        delattr(owner, name)

@@ -1,0 +1,159 @@
+"""Replay buffers whose samples carry a fresh bonus, for SAC, TD3, DDPG, TQC and CrossQ."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.buffers import DictReplayBuffer, NStepReplayBuffer, ReplayBuffer
+from stable_baselines3.common.type_aliases import DictReplayBufferSamples, ReplayBufferSamples
+from stable_baselines3.common.vec_env import VecNormalize
+from torch import Tensor
+
+from deep_curiosity.integrations.stable_baselines3.companion import Companion
+from deep_curiosity.integrations.stable_baselines3.spaces import batch_of, mask_of
+from deep_curiosity.bonuses.base import Bonus
+from deep_curiosity.transitions import Transition
+
+
+class CuriousReplayBuffer(ReplayBuffer):
+    """A replay buffer that adds a bonus to the rewards of every batch, when it is sampled.
+
+    Each call of `sample` shows the batch to the bonus, lets it learn at its own pace and then asks
+    it, so that no bonus is ever older than the batch. Stored rewards stay those of the
+    environment. The bonus sees raw observations, also under `VecNormalize`: it whitens them
+    itself, and is added to the normalised reward.
+
+    Args:
+        buffer_size: Given by the agent, as are the next four.
+        observation_space: Of the environment.
+        action_space: Of the environment.
+        device: Of the samples and of the bonus.
+        n_envs: Environments side by side.
+        bonus: A name from `BONUSES`, or a bonus, which is then used itself and not copied.
+        bonus_kwargs: Options of the bonus, where it is given by name.
+        learning_rate: Of the networks of the bonus.
+        update_interval: Samples from one gradient step of the bonus to the next.
+        observation_key: Entry of a dictionary observation that the bonus sees.
+        **options: Of the buffer that this one extends.
+
+    Raises:
+        TypeError: If `bonus` is neither a name nor a bonus.
+        ValueError: If the spaces hold no vectors, or an option is out of range or out of place.
+    """
+
+    def __init__(
+        self,
+        buffer_size: int,
+        observation_space: spaces.Space,
+        action_space: spaces.Space,
+        device: torch.device | str = "auto",
+        n_envs: int = 1,
+        *,
+        bonus: str | Bonus = "curiosity",
+        bonus_kwargs: Mapping[str, Any] | None = None,
+        learning_rate: float = 1e-3,
+        update_interval: int = 1,
+        observation_key: str | None = None,
+        **options: Any,
+    ) -> None:
+        if isinstance(observation_space, spaces.Dict) and not isinstance(self, DictReplayBuffer):
+            raise ValueError(
+                "`replay_buffer_class` must be CuriousDictReplayBuffer for dictionary "
+                f"observations, got {type(self).__name__}."
+            )
+        if options.get("optimize_memory_usage"):
+            raise ValueError(
+                "`optimize_memory_usage` must be False, got True: it overwrites the successor of "
+                "the last step of an episode, from which the bonus would learn."
+            )
+        self.companion = Companion(
+            observation_space,
+            action_space,
+            bonus=bonus,
+            bonus_kwargs=bonus_kwargs,
+            learning_rate=learning_rate,
+            update_interval=update_interval,
+            observation_key=observation_key,
+        )
+        super().__init__(
+            buffer_size, observation_space, action_space, device, n_envs=n_envs, **options
+        )
+
+    @property
+    def bonus(self) -> Bonus:
+        """The bonus in use."""
+        return self.companion.learner.bonus
+
+    def transition(self, rows: np.ndarray, columns: np.ndarray) -> Transition:
+        """Stored steps as the environment gave them, with actions in [-1, 1].
+
+        Args:
+            rows: Their places in the buffer.
+            columns: Their environments.
+        """
+        done = mask_of(self.dones[rows, columns], self.device)
+        timeout = mask_of(self.timeouts[rows, columns], self.device)
+        see = self.companion.see
+        return Transition(
+            observation=batch_of(see(self.observations)[rows, columns], self.device),
+            action=batch_of(self.actions[rows, columns], self.device),
+            reward=batch_of(self.rewards[rows, columns], self.device),
+            next_observation=batch_of(see(self.next_observations)[rows, columns], self.device),
+            terminated=done & ~timeout,
+            truncated=done & timeout,
+        )
+
+    def _get_samples(  # type: ignore[override]  # of a dictionary buffer, whose samples differ
+        self, batch_inds: np.ndarray, env: VecNormalize | None = None
+    ) -> ReplayBufferSamples | DictReplayBufferSamples:
+        # the library draws from numpy's global stream, and nowhere else
+        state = np.random.get_state()  # noqa: NPY002
+        samples = super()._get_samples(batch_inds, env)
+        np.random.set_state(state)  # noqa: NPY002
+        # the first draw inside, which says from which environment each row comes, once more
+        columns = np.random.randint(0, self.n_envs, size=len(batch_inds))  # noqa: NPY002
+        transition = self.transition(batch_inds, columns)
+        self.companion.to(self.device).learn(transition, samples.observations)
+        bonus = self._ask(transition, batch_inds, columns)
+        return samples._replace(rewards=samples.rewards + bonus.unsqueeze(-1))
+
+    def _ask(self, transition: Transition, rows: np.ndarray, columns: np.ndarray) -> Tensor:
+        """What is added to the rewards of a batch, which the bonus has just seen."""
+        return self.companion.ask(transition)
+
+
+class CuriousNStepReplayBuffer(CuriousReplayBuffer, NStepReplayBuffer):  # type: ignore[misc]
+    """The same with returns of several steps: the bonus of each step is discounted and summed.
+
+    Args:
+        *args: As for `CuriousReplayBuffer`.
+        n_steps: Steps of which rewards and bonuses are summed.
+        gamma: Discount of the agent, to be repeated here.
+        **options: As for `CuriousReplayBuffer`.
+    """
+
+    def _ask(self, transition: Transition, rows: np.ndarray, columns: np.ndarray) -> Tensor:
+        steps = (rows[:, None] + np.arange(self.n_steps)) % self.buffer_size  # batch n_steps
+        columns = np.broadcast_to(columns[:, None], steps.shape)
+        summed = self._before_the_end(steps, columns)
+        bonus = torch.zeros(steps.shape, device=self.device)
+        asked = self.transition(steps[summed], columns[summed])
+        bonus[mask_of(summed, self.device)] = self.companion.ask(asked)
+        return bonus @ self.gamma ** torch.arange(self.n_steps, device=self.device)
+
+    def _before_the_end(self, steps: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Which steps the return sums: none after the end of an episode or of what is stored."""
+        newest = (self.pos - 1) % self.buffer_size
+        last = (self.dones[steps, columns] + self.timeouts[steps, columns] > 0) | (steps == newest)
+        return np.cumsum(last, axis=1) - last == 0
+
+
+class CuriousDictReplayBuffer(CuriousReplayBuffer, DictReplayBuffer):  # type: ignore[misc]
+    """The same for dictionary observations, of which the bonus sees one entry.
+
+    Args:
+        *args: As for `CuriousReplayBuffer`, of which `observation_key` must now be given.
+        **options: As for `CuriousReplayBuffer`.
+    """

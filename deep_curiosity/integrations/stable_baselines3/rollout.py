@@ -1,0 +1,166 @@
+"""Rollout buffers that add a bonus before advantages are computed, for PPO and A2C."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium import spaces
+from stable_baselines3.common.buffers import DictRolloutBuffer, RolloutBuffer
+from torch import Tensor
+
+from deep_curiosity.integrations.stable_baselines3.companion import Companion
+from deep_curiosity.integrations.stable_baselines3.spaces import batch_of, mask_of, scaled
+from deep_curiosity.bonuses.base import Bonus
+from deep_curiosity.transitions import Transition, check_counts
+
+
+class CuriousRolloutBuffer(RolloutBuffer):
+    """A rollout buffer whose advantages come from reward plus bonus.
+
+    When a rollout is complete the bonus learns from it, in minibatches and at its own pace, and is
+    then asked. Stored rewards stay those of the environment. What the library's rollout lacks is
+    brought by `CuriosityCallback`, without which this buffer refuses to work: the successor where
+    an episode ended, how it ended, and raw observations under `VecNormalize`.
+
+    Args:
+        buffer_size: Given by the agent, as are the next six.
+        observation_space: Of the environment.
+        action_space: Of the environment; what the policy draws beyond its bounds is clipped.
+        device: Of the samples and of the bonus.
+        gae_lambda: Of the advantages.
+        gamma: Discount of the agent.
+        n_envs: Environments side by side.
+        bonus: A name from `BONUSES`, or a bonus, which is then used itself and not copied.
+        bonus_kwargs: Options of the bonus, where it is given by name.
+        learning_rate: Of the networks of the bonus.
+        update_interval: Minibatches from one gradient step of the bonus to the next.
+        observation_key: Entry of a dictionary observation that the bonus sees.
+        batch_size: Steps in a minibatch of the bonus.
+        epochs: Times that the bonus goes through a rollout.
+
+    Raises:
+        TypeError: If `bonus` is neither a name nor a bonus.
+        ValueError: If the spaces hold no vectors, or an option is out of range or out of place.
+    """
+
+    steps: list[Transition]
+
+    def __init__(
+        self,
+        buffer_size: int,
+        observation_space: spaces.Space,
+        action_space: spaces.Space,
+        device: torch.device | str = "auto",
+        gae_lambda: float = 1,
+        gamma: float = 0.99,
+        n_envs: int = 1,
+        *,
+        bonus: str | Bonus = "curiosity",
+        bonus_kwargs: Mapping[str, Any] | None = None,
+        learning_rate: float = 1e-3,
+        update_interval: int = 1,
+        observation_key: str | None = None,
+        batch_size: int = 256,
+        epochs: int = 4,
+    ) -> None:
+        if isinstance(observation_space, spaces.Dict) and not isinstance(self, DictRolloutBuffer):
+            raise ValueError(
+                "`rollout_buffer_class` must be CuriousDictRolloutBuffer for dictionary "
+                f"observations, got {type(self).__name__}."
+            )
+        check_counts(batch_size=batch_size, epochs=epochs)
+        self.batch_size = batch_size
+        self.epochs = epochs
+        self.companion = Companion(
+            observation_space,
+            action_space,
+            bonus=bonus,
+            bonus_kwargs=bonus_kwargs,
+            learning_rate=learning_rate,
+            update_interval=update_interval,
+            observation_key=observation_key,
+        )
+        super().__init__(
+            buffer_size, observation_space, action_space, device, gae_lambda, gamma, n_envs
+        )
+
+    @property
+    def bonus(self) -> Bonus:
+        """The bonus in use."""
+        return self.companion.learner.bonus
+
+    def reset(self) -> None:
+        """Begin a new rollout."""
+        super().reset()
+        self.steps = []
+
+    def record(
+        self,
+        observation: np.ndarray,
+        action: np.ndarray,
+        reward: np.ndarray,
+        next_observation: np.ndarray,
+        done: np.ndarray,
+        timeout: np.ndarray,
+    ) -> None:
+        """Keep a step of all environments as they gave it; the callback calls this.
+
+        Args:
+            observation: Raw, what the bonus sees of it.
+            action: Within the bounds of the action space.
+            reward: Raw.
+            next_observation: Raw, the true successor also where an episode ended.
+            done: Where an episode ended.
+            timeout: Where it was a clock that ended it.
+        """
+        self.steps.append(
+            Transition(
+                observation=batch_of(observation),
+                action=batch_of(scaled(action, self.companion.action_space)),
+                reward=batch_of(reward),
+                next_observation=batch_of(next_observation),
+                terminated=mask_of(done & ~timeout),
+                truncated=mask_of(done & timeout),
+            )
+        )
+
+    def transition(self) -> Transition:
+        """All steps of the rollout as the environments gave them, oldest first.
+
+        Raises:
+            RuntimeError: If the callback has not recorded them.
+        """
+        if len(self.steps) != self.buffer_size:
+            raise RuntimeError(
+                f"a rollout of {self.buffer_size} steps has {len(self.steps)} on record: "
+                "learn(..., callback=CuriosityCallback()) records them."
+            )
+        fields = zip(*self.steps, strict=True)
+        return Transition(*(torch.cat(field).to(self.device) for field in fields))
+
+    def compute_returns_and_advantage(self, last_values: Tensor, dones: np.ndarray) -> None:
+        """Let the bonus learn from the rollout, then compute advantages of reward plus bonus."""
+        rollout = self.transition()
+        self._learn(rollout)
+        bonus = self.companion.ask(rollout).reshape(self.rewards.shape)
+        rewards = self.rewards
+        self.rewards = rewards + bonus.cpu().numpy()
+        super().compute_returns_and_advantage(last_values, dones)
+        self.rewards = rewards
+
+    def _learn(self, rollout: Transition) -> None:
+        self.companion.to(self.device)
+        num_rows = len(rollout.reward)
+        for _ in range(self.epochs):
+            for rows in torch.randperm(num_rows).to(self.device).split(self.batch_size):
+                self.companion.learn(Transition(*(field[rows] for field in rollout)))
+
+
+class CuriousDictRolloutBuffer(CuriousRolloutBuffer, DictRolloutBuffer):  # type: ignore[misc]
+    """The same for dictionary observations, of which the bonus sees one entry.
+
+    Args:
+        *args: As for `CuriousRolloutBuffer`, of which `observation_key` must now be given.
+        **options: As for `CuriousRolloutBuffer`.
+    """

@@ -1,0 +1,72 @@
+"""What the actor-critic loss is told: checked, and said in the terms of `SACLoss`."""
+
+import math
+from typing import Any, Literal
+
+from tensordict.nn import ProbabilisticTensorDictSequential
+from torchrl.data import TensorSpec
+
+from deep_curiosity.integrations.torchrl.action_box import ActionBox
+from deep_curiosity.agent.sac import RATE_PER_ACTION_DIM
+from deep_curiosity.bonuses.base import Bonus
+
+REFUSED_OPTIONS = {"value_network", "target_entropy", "skip_done_states", "delay_actor"}
+"""Keyword arguments of `SACLoss` that mean nothing here, or are said otherwise."""
+
+
+def action_box(
+    actor_network: ProbabilisticTensorDictSequential, action_spec: TensorSpec | None
+) -> ActionBox:
+    """Range of the actions: as told, or as the actor knows it, or else [-1, 1]."""
+    if action_spec is None:
+        action_spec = getattr(actor_network, "spec", None)
+    if action_spec is None:
+        return ActionBox()
+    return ActionBox.from_spec(action_spec, actor_network.dist_sample_keys[0])
+
+
+def target_entropy(
+    target_information_rate: float | None, prior: str, box: ActionBox
+) -> float | Literal["auto"]:
+    """What `SACLoss` is told, so that the rate from the prior is held."""
+    if target_information_rate is None:
+        return "auto"
+    log_volume = box.log_half_volume + box.dim * math.log(2)
+    return (log_volume if prior == "uniform" else 0.0) - target_information_rate
+
+
+def check_options(options: dict[str, Any]) -> None:
+    """Reject options of `SACLoss` that are not taken.
+
+    Raises:
+        TypeError: Naming one of them.
+    """
+    for name in REFUSED_OPTIONS & options.keys():
+        raise TypeError(f"`{name}` is no option of this loss, got {options[name]!r}.")
+
+
+def check_numbers(curiosity_discount: float, hunger: float, prior: str) -> None:
+    """Reject what is out of range.
+
+    Raises:
+        ValueError: Naming the first of them and its value.
+    """
+    if not 0 <= curiosity_discount < 1:
+        raise ValueError(f"`curiosity_discount` must lie in [0, 1), got {curiosity_discount}.")
+    if not 0 <= hunger < math.inf:
+        raise ValueError(f"`hunger` must be finite and not negative, got {hunger}.")
+    if prior not in RATE_PER_ACTION_DIM:
+        raise ValueError(f"`prior` must be 'uniform' or 'learned', got {prior!r}.")
+
+
+def check_climbable(bonus: Bonus | None, curiosity_discount: float) -> None:
+    """Reject a bonus without gradient in the action, where the actor would need it.
+
+    Raises:
+        ValueError: If it scores outcomes and no critic is to learn it.
+    """
+    if bonus is not None and bonus.scores_outcomes and curiosity_discount == 0:
+        raise ValueError(
+            "`curiosity_discount` must be above 0 with a bonus that scores outcomes, "
+            f"got {curiosity_discount} with a {type(bonus).__name__}."
+        )

@@ -1,0 +1,81 @@
+"""The loss of a bonus as a torchrl loss module, for torchrl's trainers and any optimiser."""
+
+from typing import Any
+
+import torch
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from tensordict.utils import unravel_key
+from torch import Tensor
+from torchrl.data import TensorSpec
+from torchrl.objectives import LossModule
+
+from deep_curiosity.integrations.torchrl.action_box import ActionBox
+from deep_curiosity.integrations.torchrl.tensordicts import (
+    FreshActions,
+    TransitionKeys,
+    TransitionReader,
+)
+from deep_curiosity.bonuses.base import Bonus
+
+
+class BonusLoss(LossModule):
+    """What the bonus learns, as `loss_bonus`; its parameters are those of the bonus itself.
+
+    Keys are changed by `set_keys(observation=..., action=..., reward=..., terminated=...,
+    truncated=...)`.
+
+    Args:
+        bonus: What is learned.
+        observe: Also show the bonus each batch, so that it renews its statistics.
+        policy: Draws fresh actions for `Bonus.observe`; `None` takes those of the batch.
+        action_spec: Range of the actions; `low` and `high` when `None`.
+        low: Lowest action. The bonus is given actions brought to [-1, 1].
+        high: Highest action.
+
+    Raises:
+        ValueError: If the actions have no finite range.
+    """
+
+    _AcceptedKeys = TransitionKeys
+    default_keys = TransitionKeys
+    tensor_keys: TransitionKeys
+
+    def __init__(
+        self,
+        bonus: Bonus,
+        *,
+        observe: bool = True,
+        policy: TensorDictModuleBase | None = None,
+        action_spec: TensorSpec | None = None,
+        low: float | Tensor = -1.0,
+        high: float | Tensor = 1.0,
+    ) -> None:
+        super().__init__()
+        self.bonus = bonus
+        self.observe = observe
+        box = ActionBox.from_either(action_spec, low, high)
+        self.reader = TransitionReader(bonus, self.tensor_keys, box)
+        self.policy = None if policy is None else FreshActions(policy, self.reader)
+        self.out_keys = ["loss_bonus"]
+        self._set_in_keys()
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDict:
+        """Loss of the bonus on a batch, after it has observed it."""
+        transition = self.reader.read(tensordict)
+        if self.observe:
+            self.bonus.observe(transition, self.policy)
+        with torch.enable_grad():
+            return TensorDict({"loss_bonus": self.bonus.loss(transition)})
+
+    def _set_in_keys(self) -> None:
+        keys = self.tensor_keys
+        outcome = (keys.observation, keys.reward, keys.terminated)
+        self.in_keys = [
+            keys.observation,
+            keys.action,
+            *(unravel_key(("next", key)) for key in outcome),
+        ]
+
+    def _forward_value_estimator_keys(self, **kwargs: Any) -> None:
+        self._set_in_keys()

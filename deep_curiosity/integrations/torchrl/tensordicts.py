@@ -1,0 +1,154 @@
+"""Between tensordicts and bonuses: keys, flat batches, and fresh actions of a policy."""
+
+from dataclasses import dataclass
+from itertools import chain
+from typing import Any
+
+import torch
+from jaxtyping import Float
+from tensordict import TensorDict, TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from deep_curiosity.integrations.torchrl.action_box import ActionBox, Key
+from deep_curiosity.bonuses.base import Bonus
+from deep_curiosity.bonuses.curiosity import CuriosityBonus
+from deep_curiosity.transitions import Transition
+
+
+@dataclass
+class TransitionKeys:
+    """Where a tensordict holds a transition; what belongs to the outcome is under `"next"`."""
+
+    observation: Key = "observation"
+    action: Key = "action"
+    reward: Key = "reward"
+    terminated: Key = "terminated"
+    truncated: Key = "truncated"
+
+
+class TransitionReader:
+    """Reads transitions for a bonus, whatever the batch shape, dtype and device of the data.
+
+    Args:
+        bonus: Whose dtype and device are taken.
+        keys: Where the parts of a transition are.
+        box: Range of the actions.
+    """
+
+    def __init__(self, bonus: Bonus, keys: TransitionKeys, box: ActionBox) -> None:
+        self.bonus = bonus
+        self.keys = keys
+        self.box = box
+
+    def read(
+        self, tensordict: TensorDictBase, following: TensorDictBase | None = None
+    ) -> Transition:
+        """All leading dimensions as one batch.
+
+        Args:
+            tensordict: Holds observation and action.
+            following: Holds what came of it; the entry `"next"` when `None`.
+
+        Raises:
+            KeyError: If an entry is missing; `truncated` alone may be.
+            ValueError: If an entry has not one number for each observation.
+        """
+        if following is None:
+            following = _entry(tensordict, "next")
+        observation, action = self.read_pair(tensordict)
+        like, batch = observation, observation.shape[0]
+        return Transition(
+            observation=observation,
+            action=action,
+            reward=self._scalars(following, self.keys.reward, batch).to(like),
+            next_observation=_vectors(_entry(following, self.keys.observation)).to(like),
+            terminated=self._flags(following, self.keys.terminated, batch).to(like.device),
+            truncated=self._flags_or_none(following, batch).to(like.device),
+        )
+
+    def read_pair(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
+        """Observation and action alone, differentiable."""
+        like = reference_tensor(self.bonus)
+        observation = _vectors(_entry(tensordict, self.keys.observation)).to(like)
+        action = _vectors(_entry(tensordict, self.keys.action)).to(like)
+        return observation, self.box.to_unit(action)
+
+    @torch.no_grad()
+    def ask(self, transition: Transition, like: Tensor) -> Tensor:
+        """Bonus of each transition, in shape, dtype and device like the reward.
+
+        Zero while the bonus cannot be asked yet.
+        """
+        if not has_observed(self.bonus):
+            return torch.zeros_like(like)
+        observation, action, _, next_observation, *_ = transition
+        return self.bonus(observation, action, next_observation).reshape(like.shape).to(like)
+
+    def _flags(self, following: TensorDictBase, key: Key, batch: int) -> Tensor:
+        return self._scalars(following, key, batch).bool()
+
+    def _flags_or_none(self, following: TensorDictBase, batch: int) -> Tensor:
+        if following.get(self.keys.truncated, None) is None:
+            return torch.zeros(batch, dtype=torch.bool)
+        return self._flags(following, self.keys.truncated, batch)
+
+    def _scalars(self, following: TensorDictBase, key: Key, batch: int) -> Tensor:
+        value = _entry(following, key)
+        if value.numel() != batch:
+            raise ValueError(
+                f"`{key}` must hold one number for each of {batch} observations, "
+                f"got shape {tuple(value.shape)}."
+            )
+        return value.reshape(-1)
+
+
+class FreshActions:
+    """A torchrl policy as a bonus asks it: observations in, random actions in [-1, 1] out.
+
+    Args:
+        policy: Reads the observation and writes the action.
+        reader: Knows the keys and the range of the actions.
+    """
+
+    def __init__(self, policy: TensorDictModuleBase, reader: TransitionReader) -> None:
+        self.policy = policy
+        self.reader = reader
+
+    @torch.no_grad()
+    def __call__(
+        self, observation: Float[Tensor, "batch observation_dim"]
+    ) -> Float[Tensor, "batch action_dim"]:
+        """Draw an action at each observation."""
+        keys = self.reader.keys
+        tensordict = TensorDict({}, batch_size=observation.shape[:1], device=observation.device)
+        tensordict.set(keys.observation, observation)
+        with set_exploration_type(ExplorationType.RANDOM):
+            action = self.policy(tensordict).get(keys.action)
+        return self.reader.box.to_unit(action.to(observation))
+
+
+def reference_tensor(bonus: Bonus) -> Tensor:
+    """A tensor of the dtype and on the device in which the bonus computes."""
+    tensors = chain(bonus.parameters(), bonus.buffers())
+    return next((value for value in tensors if value.is_floating_point()), torch.zeros(()))
+
+
+def has_observed(bonus: Bonus) -> bool:
+    """Whether the bonus can be asked: curiosity must know first where one usually ends up."""
+    return not (isinstance(bonus, CuriosityBonus) and bonus.marginal.is_empty)
+
+
+def _entry(tensordict: TensorDictBase, key: Key) -> Any:
+    value = tensordict.get(key, None)
+    if value is None:
+        raise KeyError(
+            f"`{key}` must be among the entries, got {sorted(map(str, tensordict.keys()))}."
+        )
+    return value
+
+
+def _vectors(value: Tensor) -> Tensor:
+    """All leading dimensions in one."""
+    return value.reshape(-1, value.shape[-1])

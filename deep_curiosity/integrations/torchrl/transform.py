@@ -1,0 +1,104 @@
+"""The bonus as a torchrl transform: fresh at every sample, whatever the storage holds."""
+
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
+from torchrl.data import Composite, TensorSpec, Unbounded
+from torchrl.envs import Transform
+
+from deep_curiosity.integrations.torchrl.action_box import ActionBox, Key
+from deep_curiosity.integrations.torchrl.tensordicts import (
+    FreshActions,
+    TransitionKeys,
+    TransitionReader,
+)
+from deep_curiosity.bonuses.base import Bonus
+from deep_curiosity.bonuses.registry import BonusLearner
+
+
+class CuriosityTransform(Transform):
+    """Writes the bonus of every transition under `("next", "curiosity")`.
+
+    In a replay buffer it is asked afresh for each sampled batch, and a `BonusLearner` learns from
+    that batch first. The storage keeps the rewards of the environment. Reading the buffer by index
+    passes through its transforms as well; `buffer.storage[...]` does not.
+
+    In an environment the bonus of each step is written as one more reward and nothing is learned
+    or added. Until the bonus has observed a batch, it counts as zero.
+
+    Args:
+        bonus: A `BonusLearner`, which learns at each sample at its own pace, or a `Bonus`, which
+            is only asked.
+        add_to_reward: Also add the bonus to the reward of each sampled batch.
+        policy: Draws fresh actions for `Bonus.observe`; `None` takes the sampled ones.
+        action_spec: Range of the actions, as `env.action_spec`; `low` and `high` when `None`.
+        low: Lowest action. The bonus is given actions brought to [-1, 1].
+        high: Highest action.
+        observation_key: Of a vector, here and under `"next"`; all keys may be nested.
+        action_key: Of the action.
+        reward_key: Of the reward, under `"next"` as those that follow.
+        terminated_key: Of the flag that the world has ended.
+        truncated_key: Of the flag that a clock has ended the episode; may be missing in the data.
+        out_key: Where the bonus is written.
+
+    Raises:
+        ValueError: If the actions have no finite range.
+    """
+
+    def __init__(
+        self,
+        bonus: Bonus | BonusLearner,
+        *,
+        add_to_reward: bool = False,
+        policy: TensorDictModuleBase | None = None,
+        action_spec: TensorSpec | None = None,
+        low: float | Tensor = -1.0,
+        high: float | Tensor = 1.0,
+        observation_key: Key = "observation",
+        action_key: Key = "action",
+        reward_key: Key = "reward",
+        terminated_key: Key = "terminated",
+        truncated_key: Key = "truncated",
+        out_key: Key = "curiosity",
+    ) -> None:
+        super().__init__(in_keys=[observation_key, action_key], out_keys=[out_key])
+        self.source = bonus
+        self.add_to_reward = add_to_reward
+        keys = TransitionKeys(
+            observation_key, action_key, reward_key, terminated_key, truncated_key
+        )
+        box = ActionBox.from_either(action_spec, low, high, action_key)
+        self.reader = TransitionReader(self.bonus, keys, box)
+        self.policy = None if policy is None else FreshActions(policy, self.reader)
+
+    @property
+    def bonus(self) -> Bonus:
+        """The bonus in use."""
+        return self.source.bonus if isinstance(self.source, BonusLearner) else self.source
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Learn from a sampled batch, if there is a learner, and write its bonus."""
+        transition = self.reader.read(tensordict)
+        if isinstance(self.source, BonusLearner):
+            self.source.learn(transition, self.policy)
+        following = tensordict.get("next")
+        reward = following.get(self.reader.keys.reward)
+        bonus = self.reader.ask(transition, like=reward)
+        following.set(self.out_keys[0], bonus)
+        if self.add_to_reward:
+            following.set(self.reader.keys.reward, reward + bonus)
+        return tensordict
+
+    def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        transition = self.reader.read(tensordict, next_tensordict)
+        reward = next_tensordict.get(self.reader.keys.reward)
+        next_tensordict.set(self.out_keys[0], self.reader.ask(transition, like=reward))
+        return next_tensordict
+
+    def transform_reward_spec(self, reward_spec: Composite) -> Composite:
+        """Announce the bonus beside the reward, in its shape."""
+        like = reward_spec[self.reader.keys.reward]
+        reward_spec[self.out_keys[0]] = Unbounded(
+            shape=like.shape, dtype=like.dtype, device=like.device
+        )
+        return reward_spec

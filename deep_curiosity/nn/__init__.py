@@ -1,0 +1,1 @@
+"""Building blocks that know nothing of curiosity: stacked networks, running statistics, Adam."""

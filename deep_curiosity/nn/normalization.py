@@ -1,0 +1,162 @@
+"""Running statistics of a stream of vectors, kept in buffers, and what is standardised by them."""
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from deep_curiosity.nn.hashing import HASH_OFFSET, scrambled
+
+VARIANCE_FLOOR = 1e-8  # a feature that never moves is whitened by 1e-4 of its unit, not by zero
+STATISTICS_MEMORY = 50_000.0  # rows; a bonus drifts as its model learns, so old ones fade
+NUM_DRAWN = 2_048  # rows: an interquartile range of so many is right to 3 %
+QUARTILES = torch.tensor([0.25, 0.5, 0.75])
+NORMAL_RANGE = 1.349  # interquartile range of a standard Gaussian
+WHITENED_BOUND = 10.0  # a feature that starts to move late would drown all others
+
+
+class RunningMoments(nn.Module):
+    """Mean and variance of each feature over the rows seen so far.
+
+    Args:
+        dim: Number of features.
+        memory: Rows after which old ones fade: from then on every update is an exponential moving
+            average. Infinity weighs all rows alike.
+    """
+
+    mean: Tensor
+    var: Tensor
+    count: Tensor
+
+    def __init__(self, dim: int, *, memory: float = float("inf")) -> None:
+        super().__init__()
+        if not memory > 0:
+            raise ValueError(f"`memory` must be positive, got {memory}.")
+        self.memory = memory
+        self.register_buffer("mean", torch.zeros(dim))
+        self.register_buffer("var", torch.ones(dim))
+        self.register_buffer("count", torch.zeros(()))
+
+    @torch.no_grad()
+    def update(self, value: Float[Tensor, "batch dim"]) -> None:
+        """Merge a batch by the parallel formula of Chan, Golub and LeVeque (1979)."""
+        batch_mean = value.mean(0)
+        batch_var = value.var(0, correction=0)
+        self.count.add_(value.shape[0]).clamp_(max=max(self.memory, value.shape[0]))
+        share = value.shape[0] / self.count
+        difference = batch_mean - self.mean
+        self.var.lerp_(batch_var, share).add_(difference.square() * share * (1 - share))
+        self.mean.lerp_(batch_mean, share)
+
+    @property
+    def center(self) -> Float[Tensor, " dim"]:
+        """Middle of each feature."""
+        return self.mean
+
+    @property
+    def scale(self) -> Float[Tensor, " dim"]:
+        """Standard deviation of each feature, never zero; one while a single row is known."""
+        return torch.where(self.count < 2, 1.0, (self.var + VARIANCE_FLOOR).sqrt())
+
+    def normalize(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch dim"]:
+        """Centre, scale, and cut at 10 of its scales."""
+        return ((value - self.center) / self.scale).clamp(-WHITENED_BOUND, WHITENED_BOUND)
+
+
+class RobustMoments(RunningMoments):
+    """Median and interquartile range of each feature, which heavy tails leave where they are.
+
+    They are those of a fair draw of 2 048 of the rows seen so far, exact until there are more. Of
+    a Gaussian, the scale is the standard deviation. A feature that rests in most rows and moves in
+    the others has no such range, and is scaled by its standard deviation.
+
+    Args:
+        dim: Number of features.
+
+    Reference: the draw keeps the rows of the least random keys, as in Efraimidis & Spirakis,
+    "Weighted random sampling with a reservoir" (2006); a key is a hash of the row's number.
+    """
+
+    rows: Tensor
+    keys: Tensor
+    num_seen: Tensor
+    median: Tensor
+    spread: Tensor
+
+    def __init__(self, dim: int) -> None:
+        super().__init__(dim)
+        self.register_buffer("rows", torch.zeros(NUM_DRAWN, dim))
+        self.register_buffer("keys", torch.full((NUM_DRAWN,), torch.iinfo(torch.long).max))
+        self.register_buffer("num_seen", torch.zeros((), dtype=torch.long))
+        self.register_buffer("median", torch.zeros(dim))
+        self.register_buffer("spread", torch.ones(dim))
+
+    @torch.no_grad()
+    def update(self, value: Float[Tensor, "batch dim"]) -> None:
+        """Let a batch take part in the draw, and measure what is drawn."""
+        super().update(value)
+        number = self.num_seen + torch.arange(len(value), device=value.device)
+        self.num_seen.add_(len(value))
+        keys = torch.cat([self.keys, scrambled(number + HASH_OFFSET)])
+        keys, kept = torch.topk(keys, NUM_DRAWN, largest=False, sorted=True)
+        self.keys.copy_(keys)
+        self.rows.copy_(torch.cat([self.rows, value])[kept])
+        drawn = self.rows[: int(self.num_seen)]  # empty places have the largest keys
+        low, median, high = drawn.quantile(QUARTILES.to(drawn), dim=0)
+        self.median.copy_(median)
+        self.spread.copy_((high - low) / NORMAL_RANGE)
+
+    @property
+    def center(self) -> Float[Tensor, " dim"]:
+        """Median of each feature."""
+        return self.median
+
+    @property
+    def scale(self) -> Float[Tensor, " dim"]:
+        """Interquartile range of each feature over that of a standard Gaussian, never zero."""
+        rests = self.spread.square() <= VARIANCE_FLOOR
+        var = torch.where(rests, self.var, self.spread.square())
+        return torch.where(self.count < 2, 1.0, (var + VARIANCE_FLOOR).sqrt())
+
+
+WHITENINGS: dict[str, type[RunningMoments]] = {
+    "moments": RunningMoments,
+    "robust": RobustMoments,
+}
+"""What a vector can be whitened by, by name."""
+
+
+class Standardization(nn.Module):
+    """Brings a bonus to a scale of its own: `weight * (value - mean) / std`.
+
+    Args:
+        weight: Factor of the result.
+        center: Subtract the running mean. Ending an episode is then worth as much as an average
+            step: neither bait nor threat.
+        scale: Divide by the running standard deviation; without it the value keeps its unit.
+
+    Raises:
+        ValueError: If `weight` is negative or not finite.
+    """
+
+    def __init__(self, *, weight: float, center: bool, scale: bool) -> None:
+        super().__init__()
+        if not (math.isfinite(weight) and weight >= 0):
+            raise ValueError(f"`weight` must be finite and not negative, got {weight}.")
+        self.weight = weight
+        self.center = center
+        self.scale = scale
+        self.moments = RunningMoments(1, memory=STATISTICS_MEMORY)
+
+    def forward(self, value: Float[Tensor, " batch"]) -> Float[Tensor, " batch"]:
+        """Standardised value; changes no statistics."""
+        if self.center:
+            value = value - self.moments.mean
+        if self.scale:
+            value = value / self.moments.scale
+        return self.weight * value
+
+    def update(self, value: Float[Tensor, " batch"]) -> None:
+        """Let the statistics see a batch."""
+        self.moments.update(value.unsqueeze(-1))

@@ -1,0 +1,89 @@
+"""Pictures of a run, drawn from the files it left."""
+
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from deep_curiosity.training.checkpoint import load_checkpoint
+from deep_curiosity.training.environments import picture_features
+from deep_curiosity.training.log import read_progress, read_settings
+
+PICTURE = "run.png"
+MAX_POINTS = 20_000  # states drawn
+BONUS_PARTS = {
+    "curiosity/nats": "D (upper bound)",
+    "curiosity/predictive_power": "predictive power",
+    "curiosity/information_gain": "information gain",
+}
+
+
+def draw_run(folder: Path) -> Path:
+    """Draw learning curve, bonus and its parts, and visited states of the run in a folder.
+
+    Returns:
+        Path of the PNG.
+    """
+    settings = read_settings(folder)
+    columns = _columns(read_progress(folder))
+    state = load_checkpoint(folder)
+    figure = Figure(figsize=(13, 3.8), layout="constrained")
+    returns, bonus, states = figure.subplots(1, 3)
+    _draw_returns(returns, columns, state["history"]["episodes"])
+    _draw_bonus(bonus, columns)
+    features = picture_features(settings.env_id, settings.env_kwargs, settings.history)
+    _draw_states(states, state["learner"]["replay"]["rows"].numpy(), features)
+    figure.suptitle(f"{settings.env_id}, bonus {settings.bonus}, seed {settings.seed}")
+    path = folder / PICTURE
+    figure.savefig(path, dpi=110)
+    return path
+
+
+def _columns(rows: list[dict[str, str]]) -> dict[str, np.ndarray]:
+    names = rows[0] if rows else {}
+    return {name: np.array([float(row[name] or "nan") for row in rows]) for name in names}
+
+
+def _draw_returns(
+    axes: Axes, columns: dict[str, np.ndarray], episodes: list[tuple[float, int, float]]
+) -> None:
+    """Return of every training episode, and of the evaluations."""
+    axes.set(title="learning curve", xlabel="environment step", ylabel="return")
+    if episodes:
+        returns, lengths, _ = zip(*episodes, strict=True)
+        axes.plot(np.cumsum(lengths), returns, ".", alpha=0.4, label="training episode")
+    if columns:
+        evaluation = columns["eval/return"]
+        axes.plot(columns["step"], evaluation, ".-", color="black", label="evaluation")
+    if episodes or columns:
+        axes.legend(fontsize=8)
+
+
+def _draw_bonus(axes: Axes, columns: dict[str, np.ndarray]) -> None:
+    """Divergence in nats, and what it is made of."""
+    axes.set(title="bonus and its parts", xlabel="environment step", ylabel="nats")
+    drawn = [name for name in BONUS_PARTS if name in columns]
+    for name in drawn:
+        axes.plot(columns["step"], columns[name], ".-", label=BONUS_PARTS[name])
+    if drawn:
+        axes.set_ylim(bottom=0)
+        axes.legend(fontsize=8)
+    else:
+        axes.text(0.5, 0.5, "no bonus", ha="center", va="center", transform=axes.transAxes)
+
+
+def _draw_states(axes: Axes, rows: np.ndarray, features: tuple[int, int]) -> None:
+    """Visited states in two features of the observation, coloured by when they were visited."""
+    thinned = rows[:: max(1, len(rows) // MAX_POINTS)]
+    age = np.linspace(0, 1, len(thinned))
+    first, second = features
+    points = axes.scatter(thinned[:, first], thinned[:, second], c=age, s=2, cmap="viridis")
+    axes.set(
+        title="visited states",
+        xlabel=f"observation[{first}]",
+        ylabel=f"observation[{second}]",
+    )
+    figure = axes.get_figure(root=True)
+    assert figure is not None
+    figure.colorbar(points, ax=axes, label="early to late", ticks=[])

@@ -1,0 +1,117 @@
+"""What a run leaves behind: settings, TensorBoard events, progress.csv, summary.json."""
+
+import csv
+import json
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from torch.utils.tensorboard import SummaryWriter
+
+from deep_curiosity.training.config import Settings
+
+CONFIG = "config.json"
+PROGRESS = "progress.csv"
+SUMMARY = "summary.json"
+NO_MATTER = ("out", "resume", "matmul_precision")  # the last is chosen anew by the clock
+
+
+def open_folder(settings: Settings) -> Path:
+    """Folder of the run, with its settings written; a folder that holds a run is left alone.
+
+    Raises:
+        FileExistsError: If the folder already holds a run.
+    """
+    folder = settings.out
+    if (folder / CONFIG).exists():
+        raise FileExistsError(
+            f"`out` must not hold a run already, got {folder}; continue it with "
+            f"--resume {folder}, or choose another folder."
+        )
+    folder.mkdir(parents=True, exist_ok=True)
+    write_json(folder / CONFIG, asdict(settings))
+    return folder
+
+
+def read_settings(folder: Path) -> Settings:
+    """Settings of the run in a folder.
+
+    Raises:
+        FileNotFoundError: If the folder holds no run.
+    """
+    if not (folder / CONFIG).exists():
+        raise FileNotFoundError(f"a run must have a {CONFIG}, got {folder}, which has none.")
+    values = _read_config(folder)
+    features = tuple(values.get("features", ()))  # JSON knows lists alone
+    return Settings(**values | {"out": folder, "resume": None, "features": features})
+
+
+def identity(run: Path | Settings) -> dict[str, str]:
+    """What makes a run the one it is, in JSON: settings of one in a folder, or of one to come."""
+    values = asdict(run) if isinstance(run, Settings) else _read_config(run)
+    return {
+        name: json.dumps(value, default=str, sort_keys=True)
+        for name, value in values.items()
+        if name not in NO_MATTER
+    }
+
+
+def _read_config(folder: Path) -> dict[str, Any]:
+    values: dict[str, Any] = json.loads((folder / CONFIG).read_text())
+    return values
+
+
+def write_json(path: Path, values: Mapping[str, Any]) -> None:
+    """Write whole or not at all."""
+    partial = path.with_suffix(".partial")
+    partial.write_text(json.dumps(values, indent=2, default=str) + "\n")
+    partial.replace(path)
+
+
+class Records:
+    """Writes the numbers of a run, each under one tag, to TensorBoard and to progress.csv.
+
+    Args:
+        folder: Of the run.
+        start: Step the run continues from; rows written after it are dropped.
+    """
+
+    def __init__(self, folder: Path, *, start: int = 0) -> None:
+        self._path = folder / PROGRESS
+        self._rows = [row for row in read_progress(folder) if float(row["step"]) <= start]
+        self._columns = list(self._rows[0]) if self._rows else []
+        self._write_all()
+        self._writer = SummaryWriter(str(folder), purge_step=start + 1 if start else None)
+
+    def scalars(self, step: int, values: Mapping[str, float]) -> None:
+        """Write to TensorBoard."""
+        for tag, value in values.items():
+            self._writer.add_scalar(tag, value, step)
+
+    def row(self, step: int, values: Mapping[str, float]) -> None:
+        """Append a row to progress.csv; the first one names the columns."""
+        if not self._columns:
+            self._columns = ["step", *values]
+            self._write_all()
+        with self._path.open("a", newline="") as file:
+            csv.writer(file).writerow([step, *(values.get(name) for name in self._columns[1:])])
+
+    def close(self) -> None:
+        """Flush what TensorBoard holds back."""
+        self._writer.close()
+
+    def _write_all(self) -> None:
+        with self._path.open("w", newline="") as file:
+            writer = csv.DictWriter(file, self._columns)
+            writer.writeheader()
+            writer.writerows(self._rows)
+
+
+def read_progress(folder: Path) -> list[dict[str, str]]:
+    """Rows of progress.csv, as written."""
+    path = folder / PROGRESS
+    if not path.exists():
+        return []
+    with path.open(newline="") as file:
+        return list(csv.DictReader(file))

@@ -1,0 +1,91 @@
+"""What happened in a run so far, kept in a form that a checkpoint can hold."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from deep_curiosity.training.collector import Episode
+
+EPISODE_LISTS = ("episodes", "evaluations")
+NUM_RECENT = 10  # episodes over which returns and success are averaged
+
+
+@dataclass
+class History:
+    """Episodes, evaluations and visited cells, by step."""
+
+    step: int = 0
+    episodes: list[Episode] = field(default_factory=list)
+    """Of training."""
+    evaluations: list[Episode] = field(default_factory=list)
+    """Of evaluation; always whole batches of `evaluation_episodes`."""
+    first_success_step: int | None = None
+    cells: dict[int, int] = field(default_factory=dict)
+    """Visited cell to the step at which it was first visited."""
+    learning_steps: int = 0
+    learning_seconds: float = 0.0
+    wall_seconds: float = 0.0
+
+    def saw(self, info: dict[str, Any]) -> None:
+        """Note what the environment, or each of several, said of the step just taken."""
+        if self.first_success_step is None and np.any(info.get("is_success", False)):
+            self.first_success_step = self.step
+        for cell in np.ravel(info.get("cell", ())).tolist():
+            self.cells.setdefault(int(cell), self.step)
+
+    def learned(self, num_steps: int, seconds: float) -> None:
+        """Count environment steps, taken once learning has begun."""
+        self.learning_steps += num_steps
+        self.learning_seconds += seconds
+
+    @property
+    def steps_per_second(self) -> float:
+        """Environment steps per second, updates included, evaluation and start-up not."""
+        return self.learning_steps / self.learning_seconds if self.learning_seconds else math.nan
+
+    def coverage(self, num_cells: int | None) -> float | None:
+        """Share of the task's cells visited in training, `None` where it has none."""
+        return None if num_cells is None else len(self.cells) / num_cells
+
+    def summary(self, num_cells: int | None) -> dict[str, Any]:
+        """The figures by which runs are compared."""
+        return {
+            "evaluation_return": mean_return(self.evaluations),
+            "training_return": mean_return(self.episodes),
+            "mean_training_return": mean_return(self.episodes, num_recent=len(self.episodes)),
+            "success_rate": success_rate(self.evaluations),
+            "first_success_step": self.first_success_step,
+            "coverage": self.coverage(num_cells),
+            "steps_per_second": _or_none(self.steps_per_second),
+            "wall_seconds": self.wall_seconds,
+        }
+
+    def state_dict(self) -> dict[str, Any]:
+        """Plain lists and numbers."""
+        episodes = {name: [tuple(e) for e in getattr(self, name)] for name in EPISODE_LISTS}
+        return asdict(self) | episodes
+
+    @classmethod
+    def from_state(cls, state: dict[str, Any]) -> "History":
+        """Restore what `state_dict` gave."""
+        episodes = {name: [Episode(*e) for e in state[name]] for name in EPISODE_LISTS}
+        return cls(**state | episodes)
+
+
+def mean_return(episodes: Sequence[Episode], num_recent: int = NUM_RECENT) -> float | None:
+    """Mean return of the newest episodes, `None` without any."""
+    returns = [episode.episode_return for episode in episodes[-num_recent:]]
+    return sum(returns) / len(returns) if returns else None
+
+
+def success_rate(episodes: Sequence[Episode]) -> float | None:
+    """Share of successes among the 10 newest episodes, `None` where the task defines none."""
+    successes = [episode.success for episode in episodes[-NUM_RECENT:]]
+    return _or_none(sum(successes) / len(successes)) if successes else None
+
+
+def _or_none(value: float) -> float | None:
+    return value if math.isfinite(value) else None

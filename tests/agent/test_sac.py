@@ -1,0 +1,874 @@
+import io
+import math
+from copy import deepcopy
+
+import pytest
+import torch
+from torch.distributions import Independent, Normal, TransformedDistribution
+from torch.distributions.transforms import TanhTransform
+
+from deep_curiosity.agent.sac import CuriousActorCritic
+from deep_curiosity.bonuses.base import Bonus
+from deep_curiosity.bonuses.baselines import ConstantBonus
+from deep_curiosity.transitions import Sequences, Transition
+
+TEMPERATURE, DISCOUNT = 0.3, 0.9
+PAIRS = slice(0, 2), slice(2, 4)  # members of the extrinsic and of the curious pair of critics
+
+
+class PushingBonus(Bonus):
+    """Pays for the first coordinate of the action, in the direction of its sign."""
+
+    def __init__(self, slope):
+        super().__init__()
+        self.register_buffer("slope", torch.tensor(slope))
+
+    def forward(self, observation, action, next_observation=None):
+        return self.slope * action[:, 0]
+
+    def loss(self, transition):
+        return self.slope.new_zeros((), requires_grad=True)
+
+    def observe(self, transition, policy=None):
+        pass
+
+    def metrics(self):
+        return {}
+
+
+def random_transition(batch=32):
+    return Transition(
+        observation=torch.randn(batch, 3),
+        action=torch.rand(batch, 2) * 2 - 1,
+        reward=torch.randn(batch),
+        next_observation=torch.randn(batch, 3),
+        terminated=torch.rand(batch) < 0.2,
+        truncated=torch.rand(batch) < 0.2,
+    )
+
+
+def double(transition):
+    return Transition(*(f.double() if f.is_floating_point() else f for f in transition))
+
+
+def small_agent(**options):
+    return CuriousActorCritic(3, 2, **{"hidden_dims": (16,)} | options)
+
+
+def plain_agent(**options):
+    return small_agent(curiosity=False, **options)
+
+
+def members_of(network, members):
+    return [parameter[members] for parameter in network.parameters()]
+
+
+def equal(some, others):
+    return all(one.equal(other) for one, other in zip(some, others, strict=True))
+
+
+def copies(parameters):
+    return [parameter.detach().clone() for parameter in parameters]
+
+
+def let_answer(critics, *values):
+    """Make each pair of critics answer a constant."""
+    for parameter in critics.parameters():
+        parameter.data.zero_()
+    last = critics.network.layers[-1].bias.data
+    for pair, value in enumerate(values):
+        last[2 * pair : 2 * pair + 2] = value
+
+
+@pytest.fixture
+def noise(monkeypatch):
+    """The draws of one update, in order: at the next observation, then at the observation."""
+    draws = torch.randn(2, 32, 2, dtype=torch.float64)
+    queue = iter(draws)
+    monkeypatch.setattr(
+        torch, "randn_like", lambda like: next(queue)[: like.shape[-2]].to(like).unsqueeze(0)
+    )
+    return draws
+
+
+def assert_gradients(agent, part, expected, atol):
+    """Compare an agent's first gradients, read off the means of Adam, with those of a module."""
+    optimizer = agent.optimizers[part]
+    for number, parameter in enumerate(expected):
+        actual = getattr(optimizer, f"mean_{number}") / 0.1
+        torch.testing.assert_close(actual, parameter.grad, atol=atol, rtol=0)
+
+
+def only_mode(policy):
+    (loc,), (log_std,), _ = policy
+    return loc, log_std
+
+
+def soft_actor_critic_policy(agent, observation, noise):
+    """Reparameterised action and its log density, from torch's own distributions."""
+    loc, log_std = only_mode(agent.policy(observation))
+    squash = TanhTransform(cache_size=1)
+    policy = TransformedDistribution(Independent(Normal(loc, log_std.exp()), 1), squash)
+    action = squash(loc + log_std.exp() * noise)
+    return action, policy.log_prob(action)
+
+
+def soft_actor_critic_critic_loss(agent, batch, noise):
+    """Haarnoja et al. (2018), equations (5) and (6), with two critics."""
+    with torch.no_grad():
+        action, log_prob = soft_actor_critic_policy(agent, batch.next_observation, noise)
+        first, second = agent.target_critics(batch.next_observation, action)[0]
+        soft_value = torch.min(first, second) - TEMPERATURE * log_prob
+        target = batch.reward + DISCOUNT * (1 - batch.terminated.double()) * soft_value
+    first, second = agent.critics(batch.observation, batch.action)[0]
+    half = torch.nn.functional.mse_loss
+    return 0.5 * half(first, target) + 0.5 * half(second, target)
+
+
+def soft_actor_critic_policy_loss(agent, critics, batch, noise, climbed=torch.min):
+    """The same, equation (7)."""
+    action, log_prob = soft_actor_critic_policy(agent, batch.observation, noise)
+    first, second = critics(batch.observation, action)[0]
+    return (TEMPERATURE * log_prob - climbed(first, second)).mean(), log_prob
+
+
+def in_turn(first, second):
+    """Even rows of the one, odd rows of the other."""
+    return torch.where(torch.arange(len(first)) % 2 == 0, first, second)
+
+
+def updated_pair(**options):
+    """An agent that is plain soft actor-critic, a copy to update, and a batch in float64."""
+    agent = plain_agent(temperature=TEMPERATURE, discount=DISCOUNT, **options).double()
+    return agent, deepcopy(agent), double(random_transition())
+
+
+def test_without_curiosity_the_critic_loss_is_that_of_soft_actor_critic(noise):
+    before, agent, batch = updated_pair()
+    metrics = agent.update(batch)
+    expected = soft_actor_critic_critic_loss(before, batch, noise[0])
+    assert metrics["critic_loss"].item() == pytest.approx(expected.item(), abs=1e-6)
+    expected.backward()
+    assert_gradients(agent, "critics", before.critics.parameters(), atol=1e-6)
+
+
+def test_without_curiosity_the_policy_loss_is_that_of_soft_actor_critic(noise):
+    before, agent, batch = updated_pair()
+    metrics = agent.update(batch)
+    expected, _ = soft_actor_critic_policy_loss(before, agent.critics, batch, noise[1])
+    assert metrics["policy_loss"].item() == pytest.approx(expected.item(), abs=1e-6)
+    expected.backward()
+    assert_gradients(agent, "policy", before.policy.parameters(), atol=1e-6)
+
+
+def test_without_curiosity_the_temperature_loss_is_that_of_soft_actor_critic(noise):
+    before, agent, batch = updated_pair()
+    agent.update(batch)
+    _, log_prob = soft_actor_critic_policy_loss(before, agent.critics, batch, noise[1])
+    target_entropy = -2.0
+    expected = -(log_prob + target_entropy).mean()  # gradient in log alpha
+    before.log_temperature.grad = expected.detach()
+    assert_gradients(agent, "temperature", [before.log_temperature], atol=1e-6)
+
+
+def test_with_a_stride_the_actor_learns_from_the_rows_it_takes_and_the_critics_from_all(noise):
+    before, agent, batch = updated_pair(actor_stride=3)
+    taken = Transition(*(field[::3] for field in batch))
+    metrics = agent.update(batch)
+    evaluation = soft_actor_critic_critic_loss(before, batch, noise[0])
+    improvement, log_prob = soft_actor_critic_policy_loss(
+        before, agent.critics, taken, noise[1, :11]
+    )
+    assert metrics["critic_loss"].item() == pytest.approx(evaluation.item(), abs=1e-6)
+    assert metrics["policy_loss"].item() == pytest.approx(improvement.item(), abs=1e-6)
+    improvement.backward()
+    assert_gradients(agent, "policy", before.policy.parameters(), atol=1e-6)
+    before.log_temperature.grad = -(log_prob - 2.0).mean().detach()
+    assert_gradients(agent, "temperature", [before.log_temperature], atol=1e-6)
+
+
+def test_with_a_critic_per_row_the_actor_climbs_one_and_the_critics_learn_from_the_smaller(noise):
+    before, agent, batch = updated_pair(critic_per_row=True)
+    metrics = agent.update(batch)
+    evaluation = soft_actor_critic_critic_loss(before, batch, noise[0])
+    assert metrics["critic_loss"].item() == pytest.approx(evaluation.item(), abs=1e-6)
+
+    improvement, _ = soft_actor_critic_policy_loss(
+        before, agent.critics, batch, noise[1], climbed=in_turn
+    )
+    assert metrics["policy_loss"].item() == pytest.approx(improvement.item(), abs=1e-6)
+    improvement.backward()
+    assert_gradients(agent, "policy", before.policy.parameters(), atol=1e-6)
+
+
+def test_with_a_stride_every_row_keeps_its_own_hunger():
+    observation, hunger = torch.randn(5, 3), torch.linspace(0, 1, 5)
+    taken, own = dialled_agent(actor_stride=2)._thinned(observation, hunger)
+    assert taken.equal(observation[::2]) and own.equal(hunger[::2])
+
+
+def test_log_density_agrees_with_stable_baselines3():
+    distributions = pytest.importorskip("stable_baselines3.common.distributions")
+    agent, observation = plain_agent(), torch.randn(64, 3)
+    policy = agent.policy(observation)
+    pre_action = policy.draw().clamp(-2, 2)  # it adds 1e-6 in the log
+    witness = distributions.SquashedDiagGaussianDistribution(2)
+    witness.proba_distribution(*only_mode(policy))
+    expected = witness.log_prob(torch.tanh(pre_action), pre_action)
+    actual = policy.log_prob(pre_action) - agent.prior.log_prob(pre_action)
+    torch.testing.assert_close(actual, expected, atol=1e-4, rtol=0)
+
+
+@pytest.mark.parametrize(
+    ("terminated", "truncated", "target"),
+    [(False, False, 10.0), (False, True, 10.0), (True, False, 1.0), (True, True, 1.0)],
+)
+def test_truncation_bootstraps_and_termination_does_not(terminated, truncated, target):
+    agent = plain_agent(discount=DISCOUNT, soft_backup=False)
+    let_answer(agent.critics, 0.0)
+    let_answer(agent.target_critics, 10.0)
+    batch = random_transition(1)._replace(
+        reward=torch.ones(1),
+        terminated=torch.tensor([terminated]),
+        truncated=torch.tensor([truncated]),
+    )
+    loss = agent.update(batch)["critic_loss"]  # two critics, each half of the target squared
+    assert loss.sqrt().item() == pytest.approx(target)
+
+
+def test_curiosity_is_discounted_by_its_own_discount():
+    agent = small_agent(discount=0.9, curiosity_discount=0.5, soft_backup=False)
+    let_answer(agent.critics, 0.0, 0.0)
+    let_answer(agent.target_critics, 10.0, 4.0)
+    batch = random_transition(1)._replace(
+        reward=torch.ones(1), terminated=torch.tensor([False]), truncated=torch.tensor([True])
+    )
+    loss = agent.update(batch, ConstantBonus(0.25))["critic_loss"]
+    assert loss.item() == pytest.approx((1 + 0.9 * 10) ** 2 + (0.25 + 0.5 * 4) ** 2)
+
+
+def test_soft_backup_charges_the_extrinsic_value_only():
+    batch = random_transition(1)._replace(terminated=torch.tensor([False]))
+    agents = []
+    for soft_backup in (False, True):
+        torch.manual_seed(0)
+        agents.append(small_agent(soft_backup=soft_backup, temperature=100.0))
+        agents[-1].update(batch, ConstantBonus(1.0))
+    extrinsic, curious = ([members_of(one.critics, pair) for one in agents] for pair in PAIRS)
+    assert equal(*curious) and not equal(*extrinsic)
+
+
+@pytest.mark.parametrize(("prior", "soft"), [("uniform", True), ("learned", False)])
+def test_value_is_purely_about_reward_by_default_where_the_prior_is_learned(prior, soft):
+    losses = []
+    for temperature in (0.1, 10.0):
+        torch.manual_seed(0)
+        agent = plain_agent(prior=prior, temperature=temperature)
+        losses.append(agent.update(random_transition())["critic_loss"].item())
+    assert (losses[0] != losses[1]) == soft
+
+
+def updated(agent, batch, bonus=None):
+    """A copy of the agent after one update with the same random draws."""
+    agent = deepcopy(agent)
+    torch.manual_seed(7)
+    agent.update(batch, bonus)
+    return agent
+
+
+def test_the_reward_critic_ignores_the_bonus():
+    agent, batch = small_agent(), random_transition()
+    one, other = (updated(agent, batch, ConstantBonus(value)) for value in (0.0, 100.0))
+    extrinsic, curious = PAIRS
+    assert equal(members_of(one.critics, extrinsic), members_of(other.critics, extrinsic))
+    assert not equal(members_of(one.critics, curious), members_of(other.critics, curious))
+
+
+def test_the_curiosity_critic_ignores_the_reward():
+    agent, batch = small_agent(), random_transition()
+    bonus = ConstantBonus(1.0)
+    one = updated(agent, batch, bonus)
+    other = updated(agent, batch._replace(reward=batch.reward + 100), bonus)
+    extrinsic, curious = PAIRS
+    assert equal(members_of(one.critics, curious), members_of(other.critics, curious))
+    assert not equal(members_of(one.critics, extrinsic), members_of(other.critics, extrinsic))
+
+
+@pytest.mark.parametrize("curiosity_discount", [0.0, 0.5])
+@pytest.mark.parametrize("slope", [-10.0, 10.0])
+def test_a_large_bonus_on_one_action_moves_the_policy_toward_it(curiosity_discount, slope):
+    agent = small_agent(
+        curiosity_discount=curiosity_discount, learning_rate=1e-2, tune_temperature=False
+    )
+    bonus = PushingBonus(slope)
+    for _ in range(120):
+        agent.update(random_transition(64), bonus)
+    action = agent.act(torch.randn(64, 3), deterministic=True)
+    assert (action[:, 0] * math.copysign(1, slope)).min() > 0.5
+    assert action[:, 1].abs().mean() < 0.5  # the other coordinate earns nothing
+
+
+def test_without_curiosity_critic_the_gradient_of_the_bonus_reaches_the_actor_at_once():
+    agent, batch = small_agent(curiosity_discount=0.0), random_transition()
+    still, pushed = (updated(agent, batch, PushingBonus(slope)) for slope in (0.0, 1_000.0))
+    still_slope, slope = (
+        one.optimizers["policy"].mean_3[0, 0, 0] / 0.1 for one in (still, pushed)
+    )
+    assert slope < -10 < 10 * still_slope  # of the loss, in the last bias
+    mean = [one.act(batch.observation, deterministic=True)[:, 0].mean() for one in (still, pushed)]
+    assert mean[1] > mean[0]
+
+
+def test_a_constant_bonus_moves_nothing_where_no_critic_learns_it():
+    agents = []
+    for value in (0.0, 1_000.0):
+        torch.manual_seed(0)
+        agent = small_agent(curiosity_discount=0.0)
+        for _ in range(5):
+            agent.update(random_transition(), ConstantBonus(value))
+        agents.append(agent)
+    one, other = (agent.state_dict() for agent in agents)
+    assert all(one[name].equal(other[name]) for name in one if isinstance(one[name], torch.Tensor))
+
+
+def test_a_constant_bonus_does_not_push_the_policy_either_way():
+    agent = small_agent(curiosity_discount=0.5, learning_rate=1e-2, tune_temperature=False)
+    for _ in range(120):
+        agent.update(random_transition(64), ConstantBonus(10.0))
+    action = agent.act(torch.randn(256, 3), deterministic=True)
+    assert action.mean(0).abs().max() < 0.5
+
+
+def actor_terms(agent, batch, noise, critics):
+    """Information cost and values of the actions that an update draws."""
+    with torch.no_grad():
+        policy = agent.policy(batch.observation)
+        (pre_action,) = policy.pre_actions(noise.unsqueeze(0))
+        cost = policy.log_prob(pre_action) - agent.prior.log_prob(pre_action)
+        return cost.mean(), critics.lower(batch.observation, torch.tanh(pre_action)).mean(-1)
+
+
+@pytest.mark.parametrize("prior", ["uniform", "learned"])
+@pytest.mark.parametrize(("hunger", "temperature"), [(1.0, 1.0), (0.0, 0.5), (2.5, 0.01)])
+def test_hunger_and_temperature_change_the_actor_loss_as_the_formula_says(
+    prior, hunger, temperature, noise
+):
+    agent = small_agent(prior=prior).double()
+    agent.hunger, agent.temperature = hunger, temperature
+    batch, before = double(random_transition()), deepcopy(agent)
+    metrics = agent.update(batch, PushingBonus(1.0).double())
+    cost, value = actor_terms(before, batch, noise[1], agent.critics)
+    expected = temperature * cost - hunger * value[0] - value[1]
+    assert metrics["policy_loss"].item() == pytest.approx(expected.item(), abs=1e-6)
+
+
+@pytest.mark.parametrize(("spreads", "share"), [((4.0, 1.0), 0.25), ((1.0, 4.0), 1.0)])
+def test_curiosity_yields_by_the_ratio_of_spreads_and_never_grows(spreads, share):
+    agent = small_agent(yielding=True)
+    agent.spreads.copy_(torch.tensor(spreads))
+    assert agent.curiosity_share == share
+    assert agent.metrics()["curiosity_share"] == share
+
+
+def test_what_yields_is_the_curiosity_value_in_the_actor():
+    agent, batch = small_agent(yielding=True), random_transition()
+    agent.spreads.copy_(torch.tensor([4.0, 1.0]))
+    action = batch.action.unsqueeze(0)  # of the policy's only mode
+    (value,), (curiosity_value,) = agent._values(batch.observation, action, None, torch.ones(()))
+    lower = agent.critics.lower(batch.observation, batch.action)
+    torch.testing.assert_close((value, curiosity_value), (lower[0], 0.25 * lower[1]))
+
+
+def test_curiosity_does_not_yield_unless_told_to():
+    agent = small_agent()
+    agent.spreads.copy_(torch.tensor([4.0, 1.0]))
+    assert agent.curiosity_share == 1
+
+
+def test_spreads_follow_the_values_over_the_batch():
+    agent, batch = small_agent(yielding=True), random_transition()
+    value = agent.critics(batch.observation, batch.action).detach()
+    agent.update(batch, ConstantBonus(1.0))
+    expected = 0.01 * value.mean(1).std(-1, correction=0)
+    torch.testing.assert_close(agent.spreads, expected)
+
+
+def test_with_zero_discount_the_actor_climbs_the_bonus_itself(noise):
+    agent = small_agent(curiosity_discount=0.0).double()
+    batch, before = double(random_transition()), deepcopy(agent)
+    metrics = agent.update(batch, PushingBonus(3.0).double())
+    cost, value = actor_terms(before, batch, noise[1], agent.critics)
+    with torch.no_grad():
+        (action,) = torch.tanh(before.policy(batch.observation).pre_actions(noise[1:]))
+    expected = cost - value[0] - 3 * action[:, 0].mean()
+    assert metrics["policy_loss"].item() == pytest.approx(expected.item(), abs=1e-6)
+
+
+def test_with_zero_discount_there_is_one_pair_of_critics():
+    assert small_agent(curiosity_discount=0.0).critics.pairs == 1
+    assert small_agent(curiosity_discount=0.5).critics.pairs == 2
+    assert plain_agent().critics.pairs == 1
+
+
+def test_hunger_and_temperature_read_back_what_was_set():
+    agent = small_agent(hunger=0.5, temperature=0.2)
+    assert (agent.hunger, agent.temperature) == pytest.approx((0.5, 0.2))
+    agent.hunger, agent.temperature = 0.0, 3.0
+    assert (agent.hunger, agent.temperature) == pytest.approx((0.0, 3.0))
+    assert agent.update(random_transition(), ConstantBonus(0.0))["temperature"] == pytest.approx(3)
+
+
+@pytest.mark.parametrize("prior", ["uniform", "learned"])
+@pytest.mark.parametrize(("target", "sign"), [(-50.0, 1), (50.0, -1)])
+def test_a_tuned_temperature_rises_while_the_rate_is_above_target(prior, target, sign):
+    agent = plain_agent(prior=prior, target_information_rate=target)
+    prices = [agent.temperature]
+    for _ in range(3):
+        rate = agent.update(random_transition())["information_rate"].item()
+        assert (rate - target) * sign > 0
+        prices.append(agent.temperature)
+    assert prices == sorted(prices, reverse=sign < 0) and len(set(prices)) == 4
+
+
+def test_a_fixed_temperature_stays():
+    agent = plain_agent(temperature=0.2, tune_temperature=False, target_information_rate=-50.0)
+    agent.update(random_transition())
+    assert agent.temperature == pytest.approx(0.2)
+
+
+def test_default_target_is_the_usual_entropy_or_a_nat_for_each_action_dimension():
+    uniform, learned = plain_agent(prior="uniform"), plain_agent(prior="learned")
+    entropy_at_target = 2 * math.log(2) - uniform.target_information_rate
+    assert entropy_at_target == pytest.approx(-2)
+    assert learned.target_information_rate == 2
+
+
+def test_information_rate_is_counted_from_a_normalised_prior(noise):
+    agent = plain_agent().double()
+    batch, before = double(random_transition()), deepcopy(agent)
+    rate = agent.update(batch)["information_rate"].item()
+    _, log_prob = soft_actor_critic_policy(before, batch.observation, noise[1])
+    assert rate == pytest.approx(log_prob.mean().item() + 2 * math.log(2), abs=1e-6)
+
+
+def test_information_rate_counts_from_the_learned_prior(noise):
+    agent = plain_agent(prior="learned").double()
+    batch, before = double(random_transition()), deepcopy(agent)
+    rate = agent.update(batch)["information_rate"].item()
+    cost, _ = actor_terms(before, batch, noise[1], agent.critics)
+    assert rate == pytest.approx(cost.item(), abs=1e-6)
+
+
+def test_a_learned_prior_learns_the_actions_of_the_policy():
+    agent = plain_agent(prior="learned", learning_rate=1e-2)
+    agent.optimizers["policy"].learning_rate = 0.0  # so that there is one thing to learn
+    agent.policy.network.layers[-1].bias.data[..., :2] = 1.5
+    log_prob = [agent.update(random_transition())["prior_log_prob"].item() for _ in range(150)]
+    assert sum(log_prob[-10:]) > sum(log_prob[:10]) + 5
+    centre = agent.prior.log_prob(torch.full((1, 2), 1.5))
+    assert centre > agent.prior.log_prob(torch.full((1, 2), -1.5))
+
+
+def test_the_prior_is_pulled_by_its_own_loss_alone(noise):
+    agent = plain_agent(prior="learned").double()
+    batch, before = double(random_transition()), deepcopy(agent)
+    agent.update(batch)
+    pre_action = before.policy(batch.observation).pre_actions(noise[1:]).detach()
+    (-before.prior.log_prob(pre_action).mean()).backward()
+    assert_gradients(agent, "prior", before.prior.parameters(), atol=1e-8)
+
+
+def test_divergence_of_the_learned_prior_from_uniform_is_reported():
+    agent = plain_agent(prior="learned")
+    agent.prior.loc.data.fill_(2.0)  # a strong habit
+    random_state = torch.get_rng_state()
+    divergence = agent.metrics()["prior_kl_to_uniform"]
+    assert torch.get_rng_state().equal(random_state)
+    expected = agent.prior.kl_to_uniform(torch.randn(20_000, 2)).item()
+    assert divergence.item() == pytest.approx(expected, rel=0.1) and not divergence.requires_grad
+    assert plain_agent(prior="uniform").metrics().keys() == {"hunger"}
+
+
+def test_targets_move_by_exactly_the_share():
+    agent = small_agent(polyak=0.25)
+    targets = copies(agent.target_critics.parameters())
+    agent.update(random_transition(), ConstantBonus(1.0))
+    sources = copies(agent.critics.parameters())
+    expected = [0.75 * old + 0.25 * new for old, new in zip(targets, sources, strict=True)]
+    for actual, wanted in zip(agent.target_critics.parameters(), expected, strict=True):
+        torch.testing.assert_close(actual.data, wanted)
+    moved = zip(targets, agent.target_critics.parameters(), strict=True)
+    assert all(not old.equal(new) for old, new in moved)
+
+
+def test_target_critics_start_as_the_critics_and_get_no_gradient():
+    agent = small_agent()
+    assert equal(agent.critics.parameters(), agent.target_critics.parameters())
+    agent.update(random_transition(), ConstantBonus(1.0))
+    for parameter in agent.target_critics.parameters():
+        assert parameter.grad is None and not parameter.requires_grad
+
+
+@pytest.mark.parametrize("options", [{}, {"prior": "learned"}, {"curiosity_discount": 0.0}])
+def test_every_part_is_trained(options):
+    agent = small_agent(**options)
+    before = {name: copies([value])[0] for name, value in agent.named_parameters()}
+    for _ in range(2):
+        agent.update(random_transition(), PushingBonus(1.0))
+    for name, value in agent.named_parameters():
+        assert not value.equal(before[name]), name
+
+
+def test_the_update_changes_neither_transition_nor_bonus():
+    agent, batch, bonus = small_agent(), random_transition(), PushingBonus(1.0)
+    kept = copies(batch)
+    agent.update(batch, bonus)
+    assert equal(batch, kept) and bonus.slope == 1
+
+
+def assert_same_state(one, other):
+    one, other = one.state_dict(), other.state_dict()
+    assert one.keys() == other.keys()
+    assert all(one[name].equal(other[name]) for name in one)
+
+
+def train(agent, steps, seed):
+    torch.manual_seed(seed)
+    for _ in range(steps):
+        agent.update(random_transition(), PushingBonus(1.0))
+
+
+@pytest.mark.parametrize("prior", ["uniform", "learned"])
+def test_an_interrupted_agent_goes_on_bit_for_bit(prior):
+    agent, resumed = small_agent(prior=prior), small_agent(prior=prior)
+    train(agent, 5, seed=1)
+    file = io.BytesIO()
+    torch.save(agent.state_dict(), file)
+    train(agent, 5, seed=2)
+    file.seek(0)
+    resumed.load_state_dict(torch.load(file))
+    train(resumed, 5, seed=2)
+    assert_same_state(agent, resumed)
+
+
+def test_an_agent_restored_from_another_shares_nothing_with_it():
+    agent, restored = small_agent(), small_agent()
+    train(agent, 3, seed=1)
+    restored.load_state_dict(agent.state_dict())
+    kept = deepcopy(restored)
+    train(agent, 3, seed=2)
+    assert_same_state(restored, kept)
+
+
+def test_the_same_seed_trains_the_same_agent():
+    agents = []
+    for _ in range(2):
+        torch.manual_seed(0)
+        agents.append(small_agent(prior="learned"))
+        train(agents[-1], 3, seed=1)
+    assert_same_state(*agents)
+
+
+def test_metrics_are_detached_scalars_whatever_the_switches():
+    for options in ({}, {"curiosity_discount": 0.0}, {"prior": "learned"}):
+        metrics = small_agent(**options).update(random_transition(), PushingBonus(1.0))
+        for name, value in metrics.items():
+            assert value.shape == () and not value.requires_grad and value.isfinite(), name
+
+
+def test_metrics_keep_their_values():
+    """A logger may write them later, when the agent has moved on."""
+    agent = small_agent(learning_rate=0.1)
+    metrics = agent.update(random_transition(), PushingBonus(1.0))
+    before = {name: value.item() for name, value in metrics.items()}
+    agent.update(random_transition(), PushingBonus(1.0))
+    assert {name: value.item() for name, value in metrics.items()} == before
+
+
+def test_actions_lie_in_the_box_and_follow_the_seed():
+    agent, observation = small_agent(), torch.randn(100, 3) * 10
+    torch.manual_seed(1)
+    action = agent.act(observation)
+    torch.manual_seed(1)
+    assert agent.act(observation).equal(action)
+    assert action.shape == (100, 2) and action.abs().max() <= 1 and not action.requires_grad
+    assert not agent.act(observation).equal(action)
+
+
+def test_a_deterministic_action_is_the_centre_of_the_policy():
+    agent, observation = small_agent(), torch.randn(9, 3)
+    random_state = torch.get_rng_state()
+    action = agent.act(observation, deterministic=True)
+    torch.testing.assert_close(action, agent.policy(observation).loc[0].detach().tanh())
+    assert torch.get_rng_state().equal(random_state)
+
+
+def test_an_observation_of_wrong_length_is_rejected():
+    with pytest.raises(ValueError, match=r"`observation` must have shape \(batch, 3\)"):
+        small_agent().act(torch.zeros(1, 4))
+
+
+def test_a_missing_bonus_is_rejected():
+    with pytest.raises(ValueError, match="`bonus`"):
+        small_agent().update(random_transition())
+
+
+def test_a_bonus_for_an_agent_without_curiosity_is_rejected():
+    with pytest.raises(ValueError, match="`bonus`"):
+        plain_agent().update(random_transition(), ConstantBonus(1.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("discount", 1.0),
+        ("discount", -0.1),
+        ("discount", math.nan),
+        ("curiosity_discount", 1.1),
+        ("hunger", -1.0),
+        ("hunger", math.inf),
+        ("temperature", 0.0),
+        ("temperature", math.nan),
+        ("learning_rate", 0.0),
+        ("polyak", 0.0),
+        ("polyak", 1.5),
+        ("actor_stride", 0),
+        ("target_information_rate", math.nan),
+    ],
+)
+def test_what_is_out_of_range_is_rejected_by_name_and_value(name, value):
+    with pytest.raises(ValueError, match=rf"`{name}`.*got {value}"):
+        small_agent(**{name: value})
+
+
+@pytest.mark.parametrize(("name", "value"), [("hunger", -1.0), ("temperature", 0.0)])
+def test_a_dial_set_out_of_range_is_rejected_and_stays(name, value):
+    agent = small_agent()
+    with pytest.raises(ValueError, match=rf"`{name}`.*got {value}"):
+        setattr(agent, name, value)
+    assert getattr(agent, name) == 1
+
+
+def test_an_unknown_prior_is_rejected():
+    with pytest.raises((ValueError, TypeError), match="prior"):
+        small_agent(prior="habit")
+
+
+def test_the_gradient_of_a_policy_of_two_modes_is_that_of_its_expectation():
+    agent = small_agent(policy_modes=2, prior="learned", temperature=0.3).double()
+    batch, before = double(random_transition()), deepcopy(agent)
+    torch.manual_seed(1)
+    agent.update(batch, PushingBonus(1.0).double())
+    with torch.random.fork_rng():
+        torch.manual_seed(1)
+        before.policy(batch.next_observation).draw()  # what the critics' targets take
+        policy = before.policy(batch.observation)
+        noise = torch.randn_like(policy.loc)
+    loss = 0.0
+    for mode, weight in zip(policy.pre_actions(noise), policy.log_weight.exp(), strict=True):
+        cost = policy.log_prob(mode) - before.prior.log_prob(mode)
+        value, curiosity_value = agent.critics.lower(batch.observation, torch.tanh(mode))
+        loss = loss + (weight * (0.3 * cost - value - curiosity_value)).mean()
+    loss.backward()
+    assert_gradients(agent, "policy", before.policy.parameters(), atol=1e-8)
+
+
+def test_a_policy_of_two_modes_keeps_two_ways_apart():
+    class Either(PushingBonus):
+        """Pays for an action far from the middle, on either side."""
+
+        def forward(self, observation, action, next_observation=None):
+            return self.slope * action[:, 0].abs()
+
+    agent = small_agent(
+        policy_modes=2,
+        curiosity_discount=0.0,
+        hunger=0.0,
+        temperature=0.05,
+        tune_temperature=False,
+        learning_rate=1e-2,
+    )
+    bonus = Either(1.0)
+    for _ in range(300):
+        agent.update(random_transition(), bonus)
+    action = agent.act(torch.randn(2_000, 3))[:, 0]
+    assert (action.abs() > 0.8).float().mean() > 0.9
+    assert 0.2 < (action > 0).float().mean() < 0.8
+
+
+def dialled_agent(**kwargs):
+    return small_agent(dial=True, **kwargs)
+
+
+def test_on_a_dial_policy_and_critics_see_the_hunger_and_nothing_else_changes():
+    agent = dialled_agent()
+    observation = torch.randn(4, 3)
+    seen = agent.seen(observation, torch.tensor([0.0, 0.25, 0.5, 1.0]))
+    assert seen[:, :3].equal(observation)
+    assert seen[:, 3].tolist() == [0.0, 0.25, 0.5, 1.0]
+    agent.hunger = 0.75
+    assert agent.seen(observation)[:, 3].tolist() == [0.75] * 4
+    assert small_agent().seen(observation) is observation
+
+
+def test_hunger_must_be_one_number_or_one_for_each():
+    with pytest.raises(ValueError, match=r"`hunger` must be one number or 4, got shape \(1,\)"):
+        dialled_agent().seen(torch.randn(4, 3), torch.tensor([0.5]))
+
+
+def test_relabelled_hungers_cover_the_dial_with_both_its_ends():
+    hunger = dialled_agent()._drawn_hunger(torch.zeros(4_000))
+    assert hunger.min() == 0 and hunger.max() == 1
+    for end in (0.0, 1.0):
+        assert (hunger == end).double().mean().item() == pytest.approx(0.25, abs=0.03)
+    inner = hunger[(hunger > 0) & (hunger < 1)]
+    assert inner.mean().item() == pytest.approx(0.5, abs=0.03)
+
+
+def test_a_dial_weighs_reward_and_curiosity_in_units_of_their_spread():
+    agent = dialled_agent()
+    hunger = torch.tensor([0.0, 0.5, 1.0])
+    agent.spreads.copy_(torch.tensor([8.0, 2.0]))
+    assert agent._share_of_curiosity(hunger).tolist() == [4.0, 2.0, 0.0]
+    agent.spreads.copy_(torch.tensor([0.5, 2.0]))  # little reward is not blown up
+    assert agent._share_of_curiosity(hunger).tolist() == [1.0, 0.5, 0.0]
+
+
+def test_one_dialled_agent_learns_to_be_greedy_and_to_be_curious():
+    """One step worlds: reward is for the left, the bonus is for the right."""
+
+    torch.manual_seed(0)
+    agent = dialled_agent(learning_rate=1e-2, temperature=0.05, tune_temperature=False)
+    bonus = PushingBonus(1.0)
+    for _ in range(300):
+        batch = random_transition()
+        ends = torch.ones_like(batch.terminated)
+        agent.update(batch._replace(reward=-batch.action[:, 0], terminated=ends), bonus)
+    observation = torch.randn(64, 3)
+    action = {
+        hunger: agent.act(observation, deterministic=True, hunger=torch.tensor(hunger))[:, 0]
+        for hunger in (0.0, 1.0)
+    }
+    assert (action[0.0] > 0.5).all()
+    assert (action[1.0] < -0.5).all()
+
+
+def test_a_dial_goes_no_further_than_one():
+    with pytest.raises(ValueError, match=r"`hunger` must lie in \[0, 1\] on a dial, got 2.0"):
+        dialled_agent(hunger=2.0)
+
+
+def test_curiosity_that_is_switched_off_does_not_move_the_actor():
+    agent = small_agent(yielding=False)
+    agent.curiosity_weight = 0.0
+    action = torch.rand(1, 8, 2)
+    _, curiosity_value = agent._values(torch.randn(8, 3), action, None, torch.ones(()))
+    assert curiosity_value.abs().max() == 0
+    with pytest.raises(ValueError, match="`curiosity_weight` must be finite and not negative"):
+        agent.curiosity_weight = -1.0
+
+
+@pytest.mark.parametrize("episodic", [True, False])
+def test_only_an_episodic_curiosity_value_ends_with_the_world(episodic):
+    agent = small_agent(curiosity_episodic=episodic, prior="learned")
+    batch = random_transition()
+    batch = batch._replace(reward=torch.zeros(32), terminated=torch.ones(32, dtype=torch.bool))
+    value, curiosity_value = agent._targets(batch, PushingBonus(0.0), torch.ones(()))
+    assert value.abs().max() == 0
+    assert (curiosity_value.abs().max() == 0) == episodic
+
+
+def test_information_of_the_actions_is_told_from_both_sides_and_leaves_the_random_stream():
+    agent, observation = small_agent(), torch.randn(64, 3)
+    random_state = torch.get_rng_state()
+    metrics = agent.metrics(observation)
+    assert torch.get_rng_state().equal(random_state)
+    assert metrics["action_information_lower"] <= metrics["action_information_upper"]
+    assert metrics["action_information_lower"] > 0
+
+
+@pytest.mark.parametrize("factor", [pytest.param(0.01, marks=pytest.mark.slow), 100.0])
+def test_the_rate_is_held_from_any_start_within_a_factor_of_a_hundred(factor):
+    """One step worlds, in which the best action is a linear function of the state."""
+    torch.manual_seed(0)
+    right, target = 0.035, 1.0
+    agent = CuriousActorCritic(
+        1,
+        1,
+        hidden_dims=(32,),
+        curiosity=False,
+        prior="learned",
+        temperature=factor * right,
+        target_information_rate=target,
+        learning_rate=1e-2,
+        polyak=0.1,
+    )
+    rates, prices = [], []
+    for _ in range(1_500):
+        observation = 2 * torch.rand(128, 1) - 1
+        with torch.no_grad():
+            action = agent.act(observation)
+        ends = torch.ones(128, dtype=torch.bool)
+        reward = -(action - 0.8 * observation).square().squeeze(-1)
+        batch = Transition(observation, action, reward, observation, ends, ~ends)
+        metrics = agent.update(batch)
+        rates.append(metrics["information_rate"].item())
+        prices.append(metrics["temperature"].item())
+    settled = rates[-500:]
+    assert sum(settled) / 500 == pytest.approx(target, rel=0.15)
+    information = agent.metrics(2 * torch.rand(512, 1) - 1)
+    assert information["action_information_lower"].item() == pytest.approx(target, rel=0.15)
+    assert right / 2 < sum(prices[-500:]) / 500 < 2 * right
+
+
+def random_sequences(num_steps, batch=32):
+    steps = random_transition(num_steps * batch)
+    alive = torch.rand(num_steps, batch) < 0.8
+    alive[0] = True
+    return Sequences(steps, alive.cumprod(0).bool())
+
+
+def test_sequences_of_one_step_teach_what_transitions_teach():
+    agent, other = small_agent(), small_agent()
+    other.load_state_dict(agent.state_dict())
+    sequences = random_sequences(1)
+    for each, batch in ((agent, sequences), (other, sequences.first)):
+        torch.manual_seed(1)
+        each.update(batch, PushingBonus(1.0))
+    for one, same in zip(agent.parameters(), other.parameters(), strict=True):
+        torch.testing.assert_close(one, same)
+
+
+@pytest.mark.parametrize("episodic", [True, False])
+def test_each_value_sums_as_many_steps_as_are_its_own(episodic):
+    agent = small_agent(
+        reward_steps=3,
+        curiosity_steps=2,
+        curiosity_episodic=episodic,
+        discount=0.5,
+        curiosity_discount=0.1,
+        prior="learned",
+    )
+    let_answer(agent.target_critics, 8.0, 1000.0)
+    sequences = random_sequences(3)
+    value, curiosity_value = agent._targets_ahead(sequences, PushingBonus(1.0), torch.ones(()))
+    reward = sequences.steps.reward.unflatten(0, (3, 32))
+    bonus = sequences.steps.action[:, 0].unflatten(0, (3, 32))
+    for row in range(32):
+        for found, earned, discount, longest, ahead, ends in (
+            (value, reward, 0.5, 3, 8.0, True),
+            (curiosity_value, bonus, 0.1, 2, 1000.0, episodic),
+        ):
+            lives = int(sequences.alive[:longest, row].sum())
+            expected = sum(discount**k * earned[k, row].item() for k in range(lives))
+            ended = ends and sequences.steps.terminated[(lives - 1) * 32 + row]
+            expected += 0.0 if ended else discount**lives * ahead
+            assert found[row].item() == pytest.approx(expected, rel=1e-4)
+
+
+def test_sequences_that_are_too_short_are_refused():
+    agent = small_agent(reward_steps=3)
+    with pytest.raises(ValueError, match="`batch` must hold sequences of at least 3 steps, got 1"):
+        agent.update(random_transition(), PushingBonus(1.0))
+    with pytest.raises(ValueError, match="got 2"):
+        agent.update(random_sequences(2), PushingBonus(1.0))

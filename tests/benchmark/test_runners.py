@@ -1,0 +1,30 @@
+from functools import partial
+
+import pytest
+
+from deep_curiosity.benchmark.runners import Worker, make_peer, peak_megabytes
+
+
+def test_a_worker_computes_in_a_process_of_its_own():
+    worker = Worker(list)
+    worker.ask("append", 3)
+    assert worker.ask("count", 3).value == 1
+    worker.close()
+
+
+def test_a_package_that_is_missing_is_told():
+    with pytest.raises(ImportError, match="no_such_package"):
+        Worker(partial(make_peer, "no_such_package:Agent"))
+
+
+def test_stable_baselines_contends():
+    pytest.importorskip("stable_baselines3")
+    address = "deep_curiosity.benchmark.stable_baselines:StableBaselines"
+    worker = Worker(partial(make_peer, address, "MountainCarContinuous-v0"))
+    worker.ask("fill", 300)
+    assert worker.ask("step", 2).seconds > 0
+    worker.close()
+
+
+def test_memory_is_that_of_this_process():
+    assert 50 < peak_megabytes() < 100_000

@@ -1,0 +1,48 @@
+import pytest
+import torch
+
+from deep_curiosity.bonuses.baselines import PredictionErrorBonus
+from deep_curiosity.transitions import Transition
+
+
+def transition(batch=64):
+    flag = torch.zeros(batch, dtype=torch.bool)
+    observation, action = torch.randn(batch, 3), torch.rand(batch, 2) * 2 - 1
+    shift = torch.cat([action, torch.zeros(batch, 1)], dim=-1)
+    return Transition(observation, action, flag.float(), observation + shift, flag, flag)
+
+
+def test_in_the_state_it_is_half_the_squared_error_of_the_forward_model():
+    bonus = PredictionErrorBonus(3, 2, features="state", hidden_dims=(8,))
+    with torch.no_grad():
+        bonus.forward_model.layers[-1].weight.zero_()
+        bonus.forward_model.layers[-1].bias.zero_()
+    state = torch.tensor([[1.0, 2.0, 2.0]])
+    assert bonus(state, torch.zeros(1, 2), state).item() == pytest.approx(4.5)
+
+
+def test_the_forward_model_does_not_shape_its_own_target():
+    bonus = PredictionErrorBonus(3, 2, feature_dim=4, hidden_dims=(8,))
+    batch = transition()
+    before = bonus._encode(batch.observation).detach()
+    after = bonus._encode(batch.next_observation)
+    bonus._error(before, batch.action, after.detach()).mean().backward()
+    assert all(parameter.grad is None for parameter in bonus.encoder.parameters())
+
+
+def test_features_come_to_tell_what_was_done():
+    bonus = PredictionErrorBonus(3, 2, feature_dim=8, hidden_dims=(32,))
+    batch = transition(256)
+    optimizer = torch.optim.Adam(bonus.parameters(), lr=3e-3)
+    for _ in range(300):
+        optimizer.zero_grad()
+        bonus.loss(batch).backward()
+        optimizer.step()
+    features = [bonus._encode(state) for state in (batch.observation, batch.next_observation)]
+    guess = bonus.inverse(torch.cat(features, dim=-1))[0]
+    assert (guess - batch.action).square().mean() < 0.2 * batch.action.var()
+
+
+def test_other_features_are_rejected():
+    with pytest.raises((TypeError, ValueError), match="pixels"):
+        PredictionErrorBonus(3, 2, features="pixels")

@@ -1,0 +1,39 @@
+import torch
+
+from deep_curiosity.bonuses.baselines import DistillationBonus
+from deep_curiosity.transitions import Transition
+
+
+def transition(observation):
+    flag = torch.zeros(len(observation), dtype=torch.bool)
+    action = torch.zeros(len(observation), 2)
+    return Transition(observation, action, flag.float(), observation, flag, flag)
+
+
+def test_the_bonus_is_the_mean_squared_error_over_features():
+    bonus = DistillationBonus(3, 2, weight=1.0, scale=False, features=4, hidden_dims=(8,))
+    with torch.no_grad():
+        for network, value in ((bonus.random, 0.0), (bonus.predictor, [1.0, 0, 2, 0])):
+            network.layers[-1].weight.zero_()
+            network.layers[-1].bias.copy_(torch.as_tensor(value))
+    state = torch.randn(5, 3)
+    assert bonus(state, torch.zeros(5, 2), state).tolist() == [1.25] * 5
+
+
+def test_the_random_network_is_never_learned():
+    bonus = DistillationBonus(3, 2, features=4, hidden_dims=(8,))
+    bonus.loss(transition(torch.randn(16, 3))).backward()
+    assert all(parameter.grad is None for parameter in bonus.random.parameters())
+
+
+def test_what_was_seen_earns_less_than_what_was_not():
+    bonus = DistillationBonus(3, 2, features=8, hidden_dims=(32,))
+    seen, new = torch.randn(256, 3), torch.randn(256, 3) + 3
+    bonus.observe(transition(seen))
+    optimizer = torch.optim.Adam(bonus.predictor.parameters(), lr=3e-3)
+    for _ in range(300):
+        optimizer.zero_grad()
+        bonus.loss(transition(seen)).backward()
+        optimizer.step()
+    action = torch.zeros(256, 2)
+    assert bonus(new, action, new).mean() > 5 * bonus(seen, action, seen).mean()

@@ -1,0 +1,223 @@
+"""Laws that every bonus obeys."""
+
+from copy import deepcopy
+
+import pytest
+import torch
+
+from deep_curiosity.bonuses.base import Bonus
+from deep_curiosity.bonuses.registry import BONUSES as BY_NAME
+from deep_curiosity.bonuses.registry import make_bonus
+from deep_curiosity.bonuses.curiosity import CuriosityBonus
+from deep_curiosity.bonuses.baselines import ConstantBonus
+from deep_curiosity.transitions import Transition
+
+OPTIONS = {"members": 2, "hidden_dims": (8,), "components": 16, "refresh_interval": 2}
+BONUSES = {
+    "curiosity": lambda: CuriosityBonus(3, 2, **OPTIONS),
+    "curiosity in nats": lambda: CuriosityBonus(3, 2, center=False, scale=False, **OPTIONS),
+    "curiosity, tuned": lambda: CuriosityBonus(3, 2, bandwidth="perplexity", **OPTIONS),
+    "curiosity, robust": lambda: CuriosityBonus(3, 2, whitening="robust", **OPTIONS),
+    "curiosity about an entry": lambda: CuriosityBonus(3, 2, features=(-1,), **OPTIONS),
+    "curiosity about features": lambda: CuriosityBonus(
+        3, 2, features=torch.nn.Sequential(torch.nn.Linear(3, 4), torch.nn.Tanh()), **OPTIONS
+    ),
+    "information gain of curiosity": lambda: CuriosityBonus(
+        3, 2, parts={"information_gain": 1.0}, **OPTIONS
+    ),
+    "constant": lambda: ConstantBonus(0.5),
+    "disagreement": lambda: make_bonus("disagreement", 3, 2, members=2, hidden_dims=(8,)),
+    "information-gain": lambda: make_bonus("information-gain", 3, 2, members=2, hidden_dims=(8,)),
+    "rnd": lambda: make_bonus("rnd", 3, 2, features=8, hidden_dims=(8,)),
+    "icm": lambda: make_bonus("icm", 3, 2, feature_dim=4, hidden_dims=(8,)),
+    "prediction error": lambda: make_bonus("icm", 3, 2, features="state", hidden_dims=(8,)),
+    "nearest-neighbours": lambda: make_bonus("nearest-neighbours", 3, 2, memory=64, neighbours=3),
+    "hash-count": lambda: make_bonus("hash-count", 3, 2, bits=8),
+}
+
+
+def test_laws_hold_for_every_bonus_by_name():
+    assert set(BY_NAME) <= set(BONUSES)
+
+
+def random_transition(batch=16):
+    observation = torch.randn(batch, 3)
+    flag = torch.zeros(batch, dtype=torch.bool)
+    return Transition(
+        observation,
+        torch.rand(batch, 2) * 2 - 1,
+        torch.randn(batch),
+        observation + 0.1 * torch.randn(batch, 3),
+        flag,
+        flag,
+    )
+
+
+@pytest.fixture(params=BONUSES)
+def make(request):
+    return BONUSES[request.param]
+
+
+@pytest.fixture
+def bonus(make):
+    """A bonus in use."""
+    bonus = make()
+    for _ in range(3):
+        bonus.loss(random_transition())
+        bonus.observe(random_transition())
+    return bonus
+
+
+def ask(bonus, batch):
+    return bonus(batch.observation, batch.action, batch.next_observation)
+
+
+def test_it_is_a_bonus(bonus):
+    assert isinstance(bonus, Bonus)
+
+
+@pytest.mark.parametrize("batch", [1, 7])
+def test_each_pair_has_one_finite_bonus(bonus, batch):
+    value = ask(bonus, random_transition(batch))
+    assert value.shape == (batch,) and value.isfinite().all() and value.dtype == torch.float32
+
+
+def test_the_same_question_has_the_same_answer(bonus):
+    batch = random_transition()
+    assert ask(bonus, batch).equal(ask(bonus, batch))
+
+
+def test_a_pair_earns_the_same_in_any_company(bonus):
+    batch = random_transition()
+    alone = torch.cat(
+        [ask(bonus, Transition(*(field[i : i + 1] for field in batch))) for i in range(16)]
+    )
+    torch.testing.assert_close(ask(bonus, batch), alone, atol=1e-4, rtol=1e-4)
+
+
+def test_asking_draws_no_random_numbers(bonus):
+    random_state = torch.get_rng_state()
+    ask(bonus, random_transition_from(random_state))
+    bonus.metrics()
+    assert torch.get_rng_state().equal(random_state)
+
+
+def random_transition_from(random_state):
+    batch = random_transition()
+    torch.set_rng_state(random_state)
+    return batch
+
+
+def test_asking_changes_no_state_and_leaves_no_gradient(bonus):
+    before = {name: value.clone() for name, value in bonus.state_dict().items()}
+    batch = random_transition()
+    action = batch.action.clone().requires_grad_()
+    value = ask(bonus, batch._replace(action=action))
+    (value.sum() + 0 * action.sum()).backward()
+    bonus.metrics()
+    after = bonus.state_dict()
+    assert all(torch.equal(after[name].nan_to_num(), before[name].nan_to_num()) for name in before)
+    assert all(parameter.grad is None for parameter in bonus.parameters())
+
+
+def test_loss_is_a_scalar_with_a_gradient_for_every_parameter(bonus):
+    loss = bonus.loss(random_transition(256))
+    assert loss.shape == () and loss.isfinite() and loss.requires_grad
+    loss.backward()
+    learned = [parameter for parameter in bonus.parameters() if parameter.requires_grad]
+    assert all(parameter.grad.abs().sum() > 0 for parameter in learned)
+
+
+def test_metrics_are_flat_detached_scalars(bonus):
+    for name, value in bonus.metrics().items():
+        assert isinstance(name, str) and value.shape == () and not value.requires_grad
+
+
+def test_state_dict_is_all_there_is(make, bonus):
+    copy = make()
+    copy.load_state_dict(bonus.state_dict())
+    batch, newer = random_transition(), random_transition()
+    assert ask(copy, batch).equal(ask(bonus, batch))
+    for one in (copy, bonus):
+        torch.manual_seed(3)
+        one.loss(newer)
+        one.observe(newer)
+    assert ask(copy, batch).equal(ask(bonus, batch))
+    now, then = copy.metrics(), bonus.metrics()
+    assert all(now[name].nan_to_num().equal(then[name].nan_to_num()) for name in then)
+
+
+def test_the_same_seed_makes_the_same_bonus(make):
+    answers = []
+    for _ in range(2):
+        torch.manual_seed(5)
+        bonus = make()
+        bonus.observe(random_transition())
+        answers.append(ask(bonus, random_transition()))
+    assert answers[0].equal(answers[1])
+
+
+def test_it_can_be_observed_with_a_policy(bonus):
+    bonus.observe(random_transition(), lambda observation: torch.zeros(observation.shape[0], 2))
+    assert ask(bonus, random_transition()).isfinite().all()
+
+
+def test_double_precision_goes_all_the_way(make):
+    bonus = make().double()
+    batch = Transition(*(f.double() if f.is_floating_point() else f for f in random_transition()))
+    assert bonus.loss(batch).dtype == torch.float64
+    bonus.observe(batch)
+    assert ask(bonus, batch).dtype == torch.float64
+
+
+def test_outcomes_are_asked_for_by_name_or_left_aside(bonus):
+    batch = random_transition()
+    if bonus.scores_outcomes:
+        with pytest.raises(ValueError, match="`next_observation` must be given"):
+            bonus(batch.observation, batch.action)
+    else:
+        assert bonus(batch.observation, batch.action).equal(ask(bonus, batch))
+
+
+def test_bonuses_of_predictions_have_a_gradient_in_the_action(make):
+    bonus = make()
+    if bonus.scores_outcomes or isinstance(bonus, ConstantBonus):
+        pytest.skip("what has happened cannot be changed, and a constant does not change")
+    for _ in range(3):
+        bonus.observe(random_transition())
+    action = torch.rand(16, 2).requires_grad_()
+    bonus(torch.randn(16, 3), action).sum().backward()
+    assert action.grad.abs().sum() > 0
+
+
+@pytest.mark.parametrize("field", ["observation", "action", "next_observation"])
+def test_what_is_not_finite_is_rejected_and_changes_nothing(bonus, field):
+    if isinstance(bonus, ConstantBonus):
+        pytest.skip("it looks at nothing")
+    before = {name: value.clone() for name, value in bonus.state_dict().items()}
+    broken = random_transition()
+    getattr(broken, field)[3, 0] = float("nan")
+    for method in (bonus.loss, bonus.observe):
+        if method == bonus.observe and bonus.pace.interval > 1:
+            bonus.observe(random_transition())  # so that the next call looks at its batch
+            before = {name: value.clone() for name, value in bonus.state_dict().items()}
+        with pytest.raises(ValueError, match=f"`{field}` must be finite"):
+            method(broken)
+    after = bonus.state_dict()
+    assert all(after[name].nan_to_num().equal(before[name].nan_to_num()) for name in before)
+
+
+def test_a_batch_that_passes_would_have_left_no_trace(make):
+    bonus = make()
+    asked = deepcopy(bonus)
+    num_shown = 0
+    for _ in range(7):
+        transition = random_transition()
+        bonus.observe(transition)
+        if not asked.passes():
+            asked.observe(transition)
+            num_shown += 1
+        state, other = bonus.state_dict(), asked.state_dict()
+        torch.testing.assert_close(state, other, rtol=0, atol=0, equal_nan=True)
+    interval = bonus.pace.interval if hasattr(bonus, "pace") else 7
+    assert num_shown == (0 if isinstance(bonus, ConstantBonus) else -(-7 // interval))

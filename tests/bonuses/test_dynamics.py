@@ -1,0 +1,492 @@
+import math
+
+import pytest
+import torch
+from torch.distributions import Normal
+
+from deep_curiosity import dynamics
+from deep_curiosity.bonuses.dynamics import DynamicsEnsemble, is_held_out, soft_clamp
+from deep_curiosity.transitions import Transition
+
+
+def transition(observation, action, next_observation):
+    batch = observation.shape[0]
+    flag = torch.zeros(batch, dtype=torch.bool)
+    return Transition(observation, action, torch.zeros(batch), next_observation, flag, flag)
+
+
+def random_transition(batch, observation_dim=3, action_dim=2):
+    observation = torch.randn(batch, observation_dim)
+    change = 0.3 * torch.randn(batch, observation_dim)
+    return transition(observation, torch.rand(batch, action_dim) * 2 - 1, observation + change)
+
+
+def small_ensemble(**options):
+    return DynamicsEnsemble(3, 2, **{"members": 3, "hidden_dims": (8,)} | options)
+
+
+def gradients(ensemble, batch, seed=0):
+    ensemble.zero_grad()
+    torch.manual_seed(seed)
+    ensemble.loss(batch).backward()
+    return torch.cat([parameter.grad.flatten(1) for parameter in ensemble.parameters()], dim=1)
+
+
+def true_std(observation):
+    """Noise of the change in the heteroscedastic world, in units of the observation."""
+    return 0.1 + 0.5 * torch.sigmoid(3 * observation)
+
+
+def heteroscedastic_world(batch):
+    """Two features of which the second is counted in a unit 50 times smaller."""
+    observation = torch.randn(batch, 2)
+    action = torch.rand(batch, 1) * 2 - 1
+    change = 0.5 * action - 0.3 * observation + true_std(observation) * torch.randn(batch, 2)
+    unit = torch.tensor([1.0, 50.0])
+    return transition(observation * unit, action, (observation + change) * unit)
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        ensemble = DynamicsEnsemble(2, 1, members=2, hidden_dims=(32, 32), noise_floor=1e-3)
+        world = heteroscedastic_world(20_000)
+        ensemble.observe(world)
+        optimizer = torch.optim.Adam(ensemble.parameters(), lr=1e-2, fused=True)
+        schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, 500)
+        for _ in range(500):
+            rows = torch.randint(20_000, (512,))
+            optimizer.zero_grad()
+            ensemble.loss(Transition(*(field[rows] for field in world))).backward()
+            optimizer.step()
+            schedule.step()
+    return ensemble
+
+
+def test_the_variance_of_least_loss_is_the_true_one(fitted):
+    observation = torch.linspace(-1.5, 1.5, 31).unsqueeze(-1).expand(-1, 2)
+    unit = torch.tensor([1.0, 50.0])
+    with torch.no_grad():
+        prediction = fitted(observation * unit, torch.zeros(31, 1))
+    std = (0.5 * prediction.log_var).exp().squeeze(-2) * fitted.observation_moments.scale / unit
+    ratio = std / true_std(observation)
+    assert (ratio.log().abs() < math.log(1.2)).all()
+    assert ratio.mean().item() == pytest.approx(1, abs=0.05)
+
+
+def test_the_mean_of_least_loss_is_the_true_one(fitted):
+    observation = torch.linspace(-1.5, 1.5, 31).unsqueeze(-1).expand(-1, 2)
+    unit = torch.tensor([1.0, 50.0])
+    action = torch.full((31, 1), 0.5)
+    with torch.no_grad():
+        loc = fitted(observation * unit, action).loc.squeeze(-2)
+    moments = fitted.observation_moments
+    next_observation = (loc * moments.scale + moments.mean) / unit
+    assert (next_observation - (0.7 * observation + 0.25)).abs().max() < 0.15
+
+
+def test_coverage_of_a_fitted_ensemble_is_ninety_percent(fitted):
+    fitted.held_out_coverage.fill_(math.nan)
+    fitted.loss(heteroscedastic_world(20_000))
+    assert fitted.metrics()["model_coverage_90"].item() == pytest.approx(0.9, abs=0.03)
+
+
+def test_held_out_loss_of_a_fitted_ensemble_is_the_entropy_of_the_world(fitted, monkeypatch):
+    world = heteroscedastic_world(20_000)
+    monkeypatch.setattr(dynamics, "is_held_out", lambda *_: torch.arange(20_000) % 2 == 0)
+    fitted.held_out_nll.fill_(math.nan)
+    fitted.loss(world)
+    std = true_std(world.observation / torch.tensor([1.0, 50.0])) * torch.tensor([1.0, 50.0])
+    entropy = Normal(0, std / fitted.change_moments.scale).entropy().sum(-1).mean().item()
+    assert fitted.metrics()["model_held_out_nll"].item() == pytest.approx(entropy, abs=0.08)
+
+
+def test_negative_log_likelihood_agrees_with_torch_distributions():
+    ensemble, batch = small_ensemble(noise_floor=1e-6), random_transition(16)
+    ensemble.observe(random_transition(100))
+    nll = ensemble.negative_log_likelihood(batch)
+    prediction = ensemble(batch.observation, batch.action)
+    target = ensemble.observation_moments.normalize(batch.next_observation)
+    own = Normal(prediction.loc, (0.5 * prediction.log_var).exp())
+    target = target.unsqueeze(-2)
+    ratio = ensemble.change_moments.scale / ensemble.observation_moments.scale
+    expected = -(own.log_prob(target) + ratio.log()).sum((-1, -2))  # in units of the change
+    torch.testing.assert_close(nll, expected, atol=1e-4, rtol=1e-4)
+
+
+def test_predictions_by_hand_are_in_whitened_units_of_the_observation():
+    ensemble = DynamicsEnsemble(1, 1, members=2, hidden_dims=(), noise_floor=0.5)
+    for parameter in ensemble.parameters():
+        parameter.data.zero_()
+    ensemble.network.layers[0].bias.data[1, 0, 0] = 2.0  # the second member moves two stds
+    observation = torch.tensor([[8.0], [12.0]])  # mean 10, std 2
+    ensemble.observe(
+        transition(observation, torch.zeros(2, 1), observation + torch.tensor([[2.0], [4.0]]))
+    )  # changes have mean 3 and std 1
+    prediction = ensemble(torch.tensor([[14.0]]), torch.zeros(1, 1))
+    expected = torch.tensor([[[(17 - 10) / 2]], [[(17 + 2 - 10) / 2]]])
+    torch.testing.assert_close(prediction.loc.squeeze(-2), expected)
+    change_var = soft_clamp(torch.zeros(1), *dynamics.LOG_VAR_RANGE).exp() / 4
+    torch.testing.assert_close(prediction.log_var.exp().flatten(), (change_var + 0.25).expand(2))
+
+
+def test_the_noise_floor_is_a_floor():
+    ensemble = small_ensemble(noise_floor=0.3)
+    ensemble.network.layers[-1].bias.data.fill_(-1e3)  # as sharp as the model can be
+    log_var = ensemble(torch.randn(9, 3), torch.randn(9, 2)).log_var
+    torch.testing.assert_close(
+        log_var.exp().sqrt(), torch.full_like(log_var, 0.3), rtol=1e-3, atol=0
+    )
+
+
+def test_the_noise_floor_is_no_part_of_the_loss():
+    batch = random_transition(32)
+    torch.manual_seed(0)
+    sharp = small_ensemble(noise_floor=1e-3)
+    dull = small_ensemble(noise_floor=1.0)
+    dull.load_state_dict(sharp.state_dict())
+    assert gradients(sharp, batch).equal(gradients(dull, batch))
+
+
+def test_each_member_sees_a_bootstrap_of_its_own():
+    ensemble = small_ensemble()
+    for parameter in ensemble.parameters():
+        parameter.data.copy_(parameter.data[:1].expand_as(parameter))
+    first, second, third = gradients(ensemble, random_transition(64))
+    assert not first.allclose(second, rtol=0.01) and not second.allclose(third, rtol=0.01)
+
+
+def test_bootstraps_average_to_the_plain_loss(every_fifth_held_out):
+    ensemble, batch = small_ensemble(), random_transition(50)
+    trained = ~every_fifth_held_out
+    with torch.no_grad():
+        plain = ensemble.negative_log_likelihood(batch)[:, trained].mean(1).sum()
+        mean = torch.stack([ensemble.loss(batch) for _ in range(300)]).mean()
+    assert mean.item() == pytest.approx(plain.item(), rel=0.02)
+
+
+@pytest.fixture
+def every_fifth_held_out(monkeypatch):
+    """Hold out fixed rows of a batch of 50, whatever they contain."""
+    held_out = torch.arange(50) % 5 == 0
+    monkeypatch.setattr(dynamics, "is_held_out", lambda *_: held_out)
+    return held_out
+
+
+@pytest.mark.parametrize("name", ["observation", "action", "next_observation"])
+def test_held_out_rows_never_reach_a_gradient(every_fifth_held_out, name):
+    ensemble, batch = small_ensemble(), random_transition(50)
+    usual = gradients(ensemble, batch)
+    changed = getattr(batch, name).clone()
+    changed[every_fifth_held_out] += 3
+    assert gradients(ensemble, batch._replace(**{name: changed})).equal(usual)
+    changed[~every_fifth_held_out] += 3
+    assert not gradients(ensemble, batch._replace(**{name: changed})).allclose(usual)
+
+
+def test_held_out_rows_are_measured(every_fifth_held_out):
+    ensemble, batch = small_ensemble(noise_floor=1e-6), random_transition(50)
+    ensemble.loss(batch)
+    nll = ensemble.negative_log_likelihood(batch)
+    loc, log_var, _ = ensemble(batch.observation, batch.action)
+    standard_error = (batch.next_observation.unsqueeze(-2) - loc) * (-0.5 * log_var).exp()
+    metrics = ensemble.metrics()
+    torch.testing.assert_close(metrics["model_held_out_nll"], nll[:, every_fifth_held_out].mean())
+    inside = (standard_error[:, every_fifth_held_out].abs() < 1.6449).float().mean()
+    torch.testing.assert_close(metrics["model_coverage_90"], inside)
+
+
+def test_held_out_measures_are_averaged_over_batches(every_fifth_held_out):
+    ensemble, first, second = small_ensemble(), random_transition(50), random_transition(50)
+    ensemble.loss(first)
+    before = ensemble.metrics()["model_held_out_nll"]
+    ensemble.loss(second)
+    latest = ensemble.negative_log_likelihood(second)[:, every_fifth_held_out].mean()
+    torch.testing.assert_close(
+        ensemble.metrics()["model_held_out_nll"], 0.98 * before + 0.02 * latest
+    )
+
+
+def test_a_batch_without_held_out_rows_leaves_the_measures_alone(monkeypatch):
+    ensemble, batch = small_ensemble(), random_transition(400)
+    ensemble.loss(batch)
+    before = ensemble.metrics()
+    monkeypatch.setattr(dynamics, "is_held_out", lambda *_: torch.zeros(400, dtype=torch.bool))
+    assert ensemble.loss(batch).isfinite() and ensemble.metrics() == before
+
+
+def test_a_batch_of_held_out_rows_alone_has_no_loss(monkeypatch):
+    ensemble, batch = small_ensemble(), random_transition(50)
+    monkeypatch.setattr(dynamics, "is_held_out", lambda *_: torch.ones(50, dtype=torch.bool))
+    loss = ensemble.loss(batch)
+    loss.backward()
+    assert loss.item() == 0
+
+
+def test_one_row_in_twenty_of_a_batch_is_held_out_for_good():
+    ensemble, batch = small_ensemble(), random_transition(2_000)
+    reached = torch.zeros(2_000, dtype=torch.bool)
+    for _ in range(10):
+        next_observation = batch.next_observation.clone().requires_grad_()
+        ensemble.loss(batch._replace(next_observation=next_observation)).backward()
+        reached |= (next_observation.grad != 0).any(-1)
+    assert reached.float().mean().item() == pytest.approx(0.95, abs=0.015)
+
+
+def test_the_same_rows_are_held_out_in_any_order():
+    observation = torch.randn(1_000, 4)
+    order = torch.randperm(1_000)
+    assert is_held_out(observation[order]).equal(is_held_out(observation)[order])
+    assert is_held_out(observation[7:8]).equal(is_held_out(observation)[7:8])
+
+
+@pytest.mark.parametrize(
+    "observation",
+    [
+        torch.randn(20_000, 1, generator=torch.Generator().manual_seed(0)),
+        torch.randn(20_000, 17, generator=torch.Generator().manual_seed(1)),
+        torch.rand(20_000, 2, generator=torch.Generator().manual_seed(2)) * 1e-3,
+        torch.linspace(-1, 1, 20_000).unsqueeze(-1),
+        torch.cartesian_prod(*[torch.linspace(-1, 1, 141)] * 2),
+    ],
+    ids=["gaussian", "wide", "small", "line", "grid"],
+)
+def test_about_one_row_in_twenty_is_held_out(observation):
+    assert is_held_out(observation).float().mean().item() == pytest.approx(0.05, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    "observation",
+    [
+        torch.arange(-200, 200.0).unsqueeze(-1),
+        torch.cartesian_prod(*[torch.arange(0, 20.0)] * 2),
+        torch.cartesian_prod(*[torch.arange(-1, 1.01, 0.25)] * 3),
+        torch.eye(256),
+    ],
+    ids=["numbers", "cells", "quarters", "one-hot"],
+)
+def test_rows_of_round_numbers_are_held_out_as_rarely_as_others(observation):
+    assert is_held_out(observation).float().mean().item() == pytest.approx(0.05, abs=0.04)
+
+
+@pytest.mark.parametrize("end", [0.0, 1.0, 4.0])
+def test_a_next_state_that_many_pairs_lead_to_is_learned(end):
+    """A corner, a rest, an end of the world: holding out the state would hold out them all."""
+    ensemble = DynamicsEnsemble(1, 1, members=2, hidden_dims=(8,))
+    ends = torch.full((200, 1), end, requires_grad=True)
+    ensemble.loss(transition(torch.randn(200, 1), torch.rand(200, 1), ends)).backward()
+    assert (ends.grad != 0).float().mean() > 0.5
+
+
+def test_each_member_may_be_asked_about_a_batch_of_its_own():
+    ensemble = small_ensemble()
+    observation, action = torch.randn(3, 5, 3), torch.randn(3, 5, 2)
+    prediction = ensemble(observation, action)
+    for member in range(3):
+        shared = ensemble(observation[member], action[member])
+        torch.testing.assert_close(prediction.loc[member], shared.loc[member])
+        torch.testing.assert_close(prediction.log_var[member], shared.log_var[member])
+
+
+def test_metrics_are_unknown_before_the_first_held_out_row():
+    assert all(value.isnan() for value in small_ensemble().metrics().values())
+
+
+def test_soft_clamp_keeps_its_interval_and_never_loses_its_slope():
+    value = torch.tensor([-15.0, -3.0, 8.0], requires_grad=True)
+    clamped = soft_clamp(value, -9.0, 2.0)
+    assert clamped.min() > -9 and clamped.max() < 2.1
+    clamped.sum().backward()
+    assert (value.grad > 1e-4).all()
+    assert clamped[1].item() == pytest.approx(-3, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [("members", 1), ("members", 0), ("noise_floor", 0.0), ("noise_floor", -0.1)],
+)
+def test_what_is_out_of_range_is_rejected_by_name_and_value(name, value):
+    with pytest.raises(ValueError, match=f"`{name}`.*got {value}"):
+        small_ensemble(**{name: value})
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf")])
+def test_a_noise_floor_that_is_not_finite_is_rejected(value):
+    with pytest.raises(ValueError, match="`noise_floor`"):
+        small_ensemble(noise_floor=value)
+
+
+@pytest.mark.parametrize("dims", [(0, 1), (1, 0)])
+def test_a_dimension_below_one_is_rejected(dims):
+    with pytest.raises(ValueError, match=r"`(observation|action)_dim` must be at least 1, got 0"):
+        DynamicsEnsemble(*dims)
+
+
+def coin_world(batch):
+    """The action says how likely a jump of one unit is; otherwise nothing moves."""
+    observation, action = torch.randn(batch, 1), torch.rand(batch, 1) * 2 - 1
+    jump = (torch.rand(batch, 1) < 0.5 * (1 + action)).float()
+    return transition(observation, action, observation + jump + 0.02 * torch.randn(batch, 1))
+
+
+@pytest.fixture(scope="module")
+def gamblers():
+    """Ensembles of one and of two outcomes, fitted to the world of the coin."""
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        return [fitted_to_coin(outcomes) for outcomes in (1, 2)]
+
+
+def fitted_to_coin(outcomes):
+    ensemble = DynamicsEnsemble(1, 1, members=2, outcomes=outcomes, hidden_dims=(32,))
+    world = coin_world(8_000)
+    ensemble.observe(world)
+    optimizer = torch.optim.Adam(ensemble.parameters(), lr=1e-2, fused=True)
+    for _ in range(500):
+        rows = torch.randint(8_000, (256,))
+        optimizer.zero_grad()
+        ensemble.loss(Transition(*(field[rows] for field in world))).backward()
+        optimizer.step()
+    return ensemble
+
+
+def test_two_outcomes_tell_a_coin_that_one_gaussian_blurs(gamblers):
+    world = coin_world(4_000)
+    with torch.no_grad():
+        one, two = (ensemble.negative_log_likelihood(world).mean() for ensemble in gamblers)
+    assert two < one - 1.0
+
+
+def test_outcomes_have_the_probabilities_of_the_world(gamblers):
+    action = torch.linspace(-0.9, 0.9, 19).unsqueeze(-1)
+    observation = torch.zeros(19, 1)
+    with torch.no_grad():
+        loc, _, log_weight = gamblers[1](observation, action)
+    moments = gamblers[1].observation_moments
+    jumps = loc.squeeze(-1) * moments.scale + moments.mean > 0.5
+    probability = (log_weight.exp() * jumps).sum(-1)
+    assert (probability - 0.5 * (1 + action.T)).abs().max() < 0.1
+
+
+def test_a_calibrated_mixture_covers_ninety_percent(gamblers):
+    gamblers[1].held_out_coverage.fill_(math.nan)
+    gamblers[1].loss(coin_world(20_000))
+    assert gamblers[1].metrics()["model_coverage_90"].item() == pytest.approx(0.9, abs=0.05)
+
+
+def test_outcomes_begin_apart():
+    loc = small_ensemble(outcomes=3)(torch.zeros(4, 3), torch.zeros(4, 2)).loc
+    assert (loc[:, :, 0] - loc[:, :, 2]).abs().mean() > 1
+
+
+def test_with_a_member_per_row_each_member_learns_from_its_own_rows(monkeypatch):
+    monkeypatch.setattr(dynamics, "is_held_out", lambda rows: torch.arange(len(rows)) == 4)
+    ensemble, batch = small_ensemble(member_per_row=True), random_transition(8)
+    usual = gradients(ensemble, batch)
+    changed = batch.next_observation.clone()
+    changed[[1, 4]] += 3  # a row of the second member's, and one that is held out
+    differs = (gradients(ensemble, batch._replace(next_observation=changed)) != usual).any(1)
+    assert differs.tolist() == [False, True, False]
+
+
+def test_with_a_member_per_row_the_loss_is_right_on_average(monkeypatch):
+    monkeypatch.setattr(dynamics, "is_held_out", lambda rows: torch.zeros(len(rows)) > 0)
+    ensemble, batch = small_ensemble(member_per_row=True), random_transition(300)
+    with torch.no_grad():
+        plain = ensemble.negative_log_likelihood(batch).mean(1).sum()
+        order = (torch.randperm(300) for _ in range(100))
+        shuffled = [ensemble.loss(Transition(*(field[o] for field in batch))) for o in order]
+    assert torch.stack(shuffled).mean().item() == pytest.approx(plain.item(), rel=0.01)
+
+
+def test_with_a_member_per_row_held_out_rows_are_measured(monkeypatch):
+    monkeypatch.setattr(dynamics, "is_held_out", lambda rows: torch.arange(len(rows)) % 4 == 0)
+    ensemble, batch = small_ensemble(member_per_row=True), random_transition(12)
+    ensemble.loss(batch)
+    nll = ensemble.negative_log_likelihood(batch)
+    expected = torch.stack([nll[row % 3, row] for row in (0, 4, 8)]).mean()
+    torch.testing.assert_close(ensemble.metrics()["model_held_out_nll"], expected)
+
+
+def test_heavy_tails_leave_the_resolution_where_it_is_if_whitening_is_robust():
+    observation = torch.distributions.StudentT(1.0).sample((4_000, 2))
+    flag = torch.zeros(4_000, dtype=torch.bool)
+    world = Transition(
+        observation, torch.zeros(4_000, 1), torch.zeros(4_000), observation + 1, flag, flag
+    )
+    seen = {}
+    for whitening in ("moments", "robust"):
+        ensemble = DynamicsEnsemble(2, 1, members=2, hidden_dims=(8,), whitening=whitening)
+        ensemble.observe(world)
+        near = torch.tensor([[0.0, 0.0], [2.0, 2.0]])
+        prediction = ensemble(near, torch.zeros(2, 1)).loc.mean(0).squeeze(1)
+        seen[whitening] = (prediction[1] - prediction[0]).abs().min()
+    assert seen["robust"] > 1 > 0.3 > seen["moments"]
+
+
+def test_a_whitening_that_is_none_is_rejected():
+    with pytest.raises(ValueError, match="`whitening` must be 'moments' or 'robust', got 'pca'"):
+        DynamicsEnsemble.__init__.__wrapped__(
+            DynamicsEnsemble.__new__(DynamicsEnsemble), 2, 1, whitening="pca"
+        )
+
+
+def test_identity_as_features_predicts_what_whole_observations_do():
+    torch.manual_seed(1)
+    whole = DynamicsEnsemble(3, 2, members=2, hidden_dims=(8,))
+    featured = DynamicsEnsemble(3, 2, members=2, hidden_dims=(8,), features=torch.clone)
+    featured.network.load_state_dict(whole.network.state_dict())
+    batch = random_transition(64)
+    for ensemble in (whole, featured):
+        ensemble.observe(batch)
+    pair = batch.observation, batch.action
+    for one, other in zip(whole(*pair), featured(*pair), strict=True):
+        torch.testing.assert_close(one, other)
+    torch.testing.assert_close(
+        whole.negative_log_likelihood(batch), featured.negative_log_likelihood(batch)
+    )
+
+
+def test_features_of_the_next_state_are_predicted_in_their_own_units():
+    ensemble = DynamicsEnsemble(
+        1, 1, members=2, hidden_dims=(32, 32), features=lambda x: torch.cat([x**2, 100 * x], -1)
+    )
+    observation, action = torch.randn(2_000, 1), torch.rand(2_000, 1) * 2 - 1
+    world = transition(observation, action, observation + action)
+    ensemble.observe(world)
+    optimizer = torch.optim.Adam(ensemble.parameters(), lr=5e-3, fused=True)
+    for _ in range(400):
+        optimizer.zero_grad()
+        ensemble.loss(Transition(*(field[:512] for field in world))).backward()
+        optimizer.step()
+    prediction = ensemble(observation, action).loc.mean(0).squeeze(1)
+    reached = world.next_observation
+    moments = ensemble.feature_moments
+    expected = moments.normalize(torch.cat([reached**2, 100 * reached], -1))
+    near = (observation.abs() < 1).squeeze(-1)
+    assert (prediction - expected)[near].abs().mean() < 0.1
+
+
+def test_features_are_asked_for_batches_of_vectors_and_frozen():
+    shapes = []
+    module = torch.nn.Linear(3, 4)
+    module.register_forward_pre_hook(lambda _, args: shapes.append(args[0].ndim))
+    ensemble = DynamicsEnsemble(
+        3, 2, members=2, hidden_dims=(8,), features=module, member_per_row=True
+    )
+    ensemble.loss(random_transition(64)).backward()
+    assert set(shapes) == {2}
+    assert module.weight.grad is None and not module.weight.requires_grad
+    assert "features.weight" in ensemble.state_dict()
+
+
+def test_features_that_are_no_vectors_or_not_finite_are_rejected():
+    with pytest.raises(ValueError, match=r"`features` must map observations \(2, 3\).*got \(2,\)"):
+        DynamicsEnsemble(3, 2, features=lambda x: x.sum(-1))
+    ensemble = DynamicsEnsemble(3, 2, members=2, hidden_dims=(8,), features=torch.log)
+    before = {name: value.clone() for name, value in ensemble.state_dict().items()}
+    with pytest.raises(ValueError, match="`features` must be finite"):
+        ensemble.observe(random_transition(64))
+    after = ensemble.state_dict()
+    assert all(before[name].nan_to_num().equal(after[name].nan_to_num()) for name in before)

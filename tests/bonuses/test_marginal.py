@@ -1,0 +1,268 @@
+import math
+
+import pytest
+import torch
+from torch.distributions import Categorical, Independent, MixtureSameFamily, Normal
+
+from deep_curiosity.gaussians import kl_to_mixture_lower, kl_to_mixture_upper
+from deep_curiosity.bonuses.marginal import NextStateMarginal, silverman_log_bandwidth
+
+HOLES = 1e-3  # a bandwidth that fills none
+
+
+def log_var_of(std, *shape):
+    return torch.full(shape, 2 * math.log(std))
+
+
+def numbered(start, stop):
+    """Predicted next states that carry their own number."""
+    loc = torch.arange(start, stop, dtype=torch.float32).unsqueeze(-1)
+    return loc, torch.zeros_like(loc)
+
+
+def held(marginal):
+    filled = marginal.log_weight > -math.inf
+    return sorted(marginal.loc[filled].flatten().tolist())
+
+
+def test_silverman_bandwidth_by_hand():
+    # (4 / 3)^(1/5) * 100^(-1/5) in one dimension: the rule of 1.06
+    assert math.exp(silverman_log_bandwidth(100, 1)) == pytest.approx(
+        1.05922 * 100**-0.2, rel=1e-5
+    )
+    assert math.exp(silverman_log_bandwidth(64, 2)) == pytest.approx(0.5)
+
+
+def test_components_are_widened_by_the_bandwidth_times_their_spread():
+    marginal = NextStateMarginal(2, components=64)
+    loc = torch.randn(64, 2) * torch.tensor([3.0, 0.1])
+    marginal.refresh(loc, log_var_of(0.05, 64, 2))
+    expected = 0.05**2 + 0.25 * loc.var(0, correction=0)  # h = 1/2
+    torch.testing.assert_close(marginal.component_log_var.exp(), expected.expand(64, 2))
+
+
+def test_a_number_is_the_bandwidth_itself():
+    marginal = NextStateMarginal(1, components=8, bandwidth=0.3)
+    loc, log_var = numbered(0, 8)
+    marginal.refresh(loc, log_var)
+    expected = 1 + 0.09 * loc.var(0, correction=0)
+    torch.testing.assert_close(marginal.component_log_var.exp(), expected.expand(8, 1))
+
+
+def test_silverman_counts_only_the_components_that_are_filled():
+    marginal = NextStateMarginal(1, components=100)
+    loc = torch.randn(10, 1)
+    marginal.refresh(loc, log_var_of(1e-6, 10, 1))
+    width = (0.5 * marginal.log_spread).exp() / loc.std(0, correction=0)
+    assert width.item() == pytest.approx(1.05922 * 10**-0.2, rel=1e-4)
+
+
+def test_density_is_that_of_the_widened_mixture():
+    marginal = NextStateMarginal(3, components=16)
+    marginal.refresh(torch.randn(12, 3), torch.randn(12, 3))
+    filled = marginal.log_weight > -math.inf
+    assert filled.sum() == 12
+    std = (0.5 * marginal.component_log_var[filled]).exp()
+    components = Independent(Normal(marginal.loc[filled], std), 1)
+    expected = MixtureSameFamily(Categorical(logits=torch.zeros(12)), components)
+    value = torch.randn(20, 3)
+    torch.testing.assert_close(
+        marginal.log_density(value), expected.log_prob(value), atol=1e-4, rtol=1e-5
+    )
+
+
+def test_divergences_are_those_to_the_widened_mixture():
+    marginal = NextStateMarginal(2, components=16)
+    marginal.refresh(torch.randn(16, 2), torch.randn(16, 2))
+    loc, log_var = torch.randn(2, 5, 2)
+    mixture = marginal.loc, marginal.component_log_var
+    torch.testing.assert_close(
+        marginal.kl_upper(loc, log_var), kl_to_mixture_upper(loc, log_var, *mixture)
+    )
+    torch.testing.assert_close(
+        marginal.kl_lower(loc, log_var), kl_to_mixture_lower(loc, log_var, *mixture)
+    )
+
+
+def test_a_bandwidth_closes_the_holes_of_a_mixture_of_spikes():
+    spikes, elsewhere = torch.randn(2, 256, 17)
+    sharp = log_var_of(0.05, 256, 17)
+    with_bandwidth = NextStateMarginal(17)
+    with_holes = NextStateMarginal(17, bandwidth=HOLES)
+    for marginal in (with_bandwidth, with_holes):
+        marginal.refresh(spikes, sharp)
+    assert with_bandwidth.kl_upper(elsewhere, sharp).mean() < 100
+    assert with_holes.kl_upper(elsewhere, sharp).mean() > 1_000
+    gap = with_bandwidth.kl_upper(elsewhere, sharp) - with_bandwidth.kl_lower(elsewhere, sharp)
+    assert 0 <= gap.min() and gap.mean() < 2
+
+
+@pytest.mark.parametrize("target", [2.0, 8.0, 40.0])
+@pytest.mark.parametrize("dim", [1, 4])
+def test_tuned_bandwidth_hits_its_target_perplexity(target, dim):
+    marginal = NextStateMarginal(
+        dim, components=128, bandwidth="perplexity", target_perplexity=target
+    )
+    marginal.refresh(torch.randn(128, dim), log_var_of(1e-3, 128, dim))
+    assert marginal.perplexity().item() == pytest.approx(target, rel=0.05)
+
+
+def test_perplexity_of_components_far_apart_is_one():
+    marginal = NextStateMarginal(1, components=8, bandwidth=HOLES)
+    loc, log_var = numbered(0, 8)
+    marginal.refresh(loc, torch.full_like(log_var, -9.0))
+    assert marginal.perplexity().item() == pytest.approx(1, abs=1e-4)
+
+
+def test_perplexity_of_equal_components_is_their_number():
+    marginal = NextStateMarginal(2, components=16)
+    marginal.refresh(torch.ones(6, 2), torch.zeros(6, 2))
+    assert marginal.perplexity().item() == pytest.approx(6, rel=1e-4)
+
+
+def test_the_newest_replace_the_oldest():
+    marginal = NextStateMarginal(1, components=8)
+    marginal.refresh(*numbered(0, 3))
+    assert held(marginal) == [0, 1, 2]
+    marginal.refresh(*numbered(3, 8))
+    assert held(marginal) == list(range(8))
+    marginal.refresh(*numbered(8, 11))
+    assert held(marginal) == list(range(3, 11))
+
+
+def test_of_a_batch_larger_than_the_mixture_the_newest_stay():
+    marginal = NextStateMarginal(1, components=8)
+    marginal.refresh(*numbered(0, 3))
+    marginal.refresh(*numbered(3, 23))
+    assert held(marginal) == list(range(15, 23))
+    marginal.refresh(*numbered(23, 25))
+    assert held(marginal) == list(range(17, 25))
+
+
+def test_components_weigh_alike_and_sum_to_one():
+    marginal = NextStateMarginal(1, components=8)
+    for stop in (3, 8, 20):
+        marginal.refresh(*numbered(0, stop))
+        weight = marginal.log_weight.exp()
+        assert weight.sum().item() == pytest.approx(1)
+        assert weight[weight > 0].unique().numel() == 1
+
+
+def test_one_prediction_alone_is_the_whole_marginal():
+    marginal = NextStateMarginal(2, components=4)
+    marginal.refresh(torch.ones(1, 2), torch.zeros(1, 2))
+    divergence = marginal.kl_upper(torch.ones(1, 2), torch.zeros(1, 2))
+    assert divergence.item() == pytest.approx(0, abs=1e-6)
+
+
+def test_a_feature_in_which_all_components_agree_gets_no_width():
+    marginal = NextStateMarginal(2, components=8)
+    loc = torch.stack([torch.randn(8), torch.zeros(8)], dim=-1)
+    marginal.refresh(loc, log_var_of(0.1, 8, 2))
+    torch.testing.assert_close(marginal.component_log_var[:, 1], log_var_of(0.1, 8))
+    assert marginal.kl_upper(loc, log_var_of(0.1, 8, 2)).isfinite().all()
+
+
+def test_it_is_empty_until_it_is_refreshed():
+    marginal = NextStateMarginal(1, components=4)
+    assert marginal.is_empty
+    marginal.refresh(*numbered(0, 1))
+    assert not marginal.is_empty
+
+
+def test_all_state_is_in_the_state_dict():
+    marginal, copy = (NextStateMarginal(1, components=8) for _ in range(2))
+    marginal.refresh(*numbered(0, 11))
+    copy.load_state_dict(marginal.state_dict())
+    probe = torch.randn(5, 1), torch.randn(5, 1)
+    assert copy.kl_upper(*probe).equal(marginal.kl_upper(*probe))
+    for one in (marginal, copy):
+        one.refresh(*numbered(11, 14))
+    assert copy.kl_upper(*probe).equal(marginal.kl_upper(*probe))
+    assert held(copy) == list(range(6, 14))
+
+
+def test_the_marginal_is_no_part_of_any_gradient():
+    marginal = NextStateMarginal(1, components=4)
+    loc, log_var = numbered(0, 4)
+    marginal.refresh(loc.requires_grad_(), log_var.requires_grad_())
+    assert not any(buffer.requires_grad for buffer in marginal.buffers())
+    assert list(marginal.parameters()) == []
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("components", 1),
+        ("bandwidth", 0.0),
+        ("bandwidth", -1.0),
+        ("bandwidth", float("nan")),
+        ("bandwidth", float("inf")),
+    ],
+)
+def test_what_is_out_of_range_is_rejected_by_name_and_value(name, value):
+    with pytest.raises(ValueError, match=rf"`{name}`.*got {value}"):
+        NextStateMarginal(2, **{"components": 16} | {name: value})
+
+
+def test_an_unknown_bandwidth_is_rejected():
+    with pytest.raises((ValueError, TypeError), match="bandwidth"):
+        NextStateMarginal(2, bandwidth="scott")
+
+
+@pytest.mark.parametrize("target", [1.0, 16.0])
+def test_a_target_that_no_perplexity_can_reach_is_rejected(target):
+    with pytest.raises(ValueError, match=rf"`target_perplexity`.*\(16\), got {target}"):
+        NextStateMarginal(2, components=16, bandwidth="perplexity", target_perplexity=target)
+
+
+def test_a_target_that_is_not_read_is_not_checked():
+    assert NextStateMarginal(2, components=4, target_perplexity=8.0).is_empty
+
+
+def linear_world(components, dim, signal, noise, **options):
+    """A marginal of `x' = x + noise`, and the information that `x` carries about `x'`."""
+    marginal = NextStateMarginal(dim, components=components, **options)
+    marginal.refresh(signal * torch.randn(components, dim), log_var_of(noise, components, dim))
+    return marginal, 0.5 * dim * math.log(1 + (signal / noise) ** 2)
+
+
+@pytest.mark.parametrize(
+    ("components", "dim", "noise", "within"),
+    [(200, 1, 0.1, 0.15), (200, 2, 0.3, 0.2), (8, 1, 0.3, 0.6)],
+)
+def test_information_lies_between_its_estimates_on_average(components, dim, noise, within):
+    worlds = [linear_world(components, dim, 1.0, noise) for _ in range(100)]
+    estimates = [world.information(torch.randn(4, components, dim)) for world, _ in worlds]
+    lower, upper = (torch.stack(values).mean() for values in zip(*estimates, strict=True))
+    truth = worlds[0][1]
+    assert truth - within < lower < truth - 0.01 < truth + 0.01 < upper < truth + within
+
+
+def test_own_component_limits_the_lower_estimate_to_the_log_of_their_number():
+    marginal, truth = linear_world(64, 10, 1.0, 0.01)
+    lower, upper = marginal.information(torch.randn(2, 64, 10))
+    assert lower.item() == pytest.approx(math.log(64), abs=1e-4) and lower < truth < upper
+
+
+def test_equal_components_carry_no_information():
+    marginal = NextStateMarginal(2, components=16)
+    marginal.refresh(torch.ones(16, 2), torch.zeros(16, 2))
+    lower, upper = marginal.information(torch.randn(3, 16, 2))
+    torch.testing.assert_close(torch.stack([lower, upper]), torch.zeros(2), atol=1e-5, rtol=0)
+
+
+def test_information_is_that_of_the_components_that_are_filled():
+    part, whole = NextStateMarginal(2, components=50), NextStateMarginal(2, components=20)
+    loc, log_var = torch.randn(2, 20, 2)
+    noise = torch.randn(3, 50, 2)
+    for marginal in (part, whole):
+        marginal.refresh(loc, log_var)
+    torch.testing.assert_close(part.information(noise), whole.information(noise[:, :20]))
+
+
+def test_one_component_has_nothing_to_be_told_from():
+    marginal = NextStateMarginal(1, components=4)
+    marginal.refresh(*numbered(0, 1))
+    lower, upper = marginal.information(torch.randn(2, 4, 1))
+    assert lower.item() == pytest.approx(0, abs=1e-6) and upper == math.inf

@@ -1,0 +1,163 @@
+import pytest
+import torch
+
+from deep_curiosity.nn.normalization import NUM_DRAWN, RobustMoments, RunningMoments
+
+
+def test_moments_of_batches_are_those_of_all_rows():
+    moments = RunningMoments(3)
+    batches = [torch.randn(size, 3) * 2 + 5 for size in (7, 1, 30, 12)]
+    for batch in batches:
+        moments.update(batch)
+    rows = torch.cat(batches)
+    torch.testing.assert_close(moments.mean, rows.mean(0))
+    torch.testing.assert_close(moments.var, rows.var(0, correction=0))
+    assert moments.count == 50
+
+
+def test_two_batches_by_hand():
+    moments = RunningMoments(1)
+    moments.update(torch.tensor([[1.0], [3.0]]))
+    moments.update(torch.tensor([[8.0]]))
+    assert moments.mean.item() == pytest.approx(4)  # of 1, 3, 8
+    assert moments.var.item() == pytest.approx(26 / 3)  # 9 + 1 + 16 over 3
+
+
+def test_beyond_the_memory_an_update_is_an_exponential_average():
+    moments = RunningMoments(1, memory=10.0)
+    moments.update(torch.tensor([[0.0]] * 10))
+    moments.update(torch.tensor([[4.0]] * 5))  # 5 of 10: half the weight
+    assert moments.mean.item() == pytest.approx(2)
+    assert moments.var.item() == pytest.approx(4)
+    moments.update(torch.tensor([[4.0]] * 5))
+    assert moments.mean.item() == pytest.approx(3)
+
+
+def test_a_batch_larger_than_the_memory_replaces_all():
+    moments = RunningMoments(2, memory=4.0)
+    moments.update(torch.full((4, 2), 100.0))
+    batch = torch.randn(16, 2)
+    moments.update(batch)
+    torch.testing.assert_close(moments.mean, batch.mean(0))
+    torch.testing.assert_close(moments.var, batch.var(0, correction=0))
+
+
+def test_memory_is_long_by_default():
+    moments = RunningMoments(1)
+    for _ in range(1_000):
+        moments.update(torch.zeros(100, 1))
+    moments.update(torch.full((100, 1), 1_001.0))
+    assert moments.mean.item() == pytest.approx(1, rel=1e-4)
+
+
+def test_normalized_rows_are_centred_and_scaled():
+    moments = RunningMoments(2)
+    rows = torch.randn(500, 2) * torch.tensor([0.01, 300.0]) + torch.tensor([1.0, -9.0])
+    moments.update(rows)
+    normal = moments.normalize(rows)
+    torch.testing.assert_close(normal.mean(0), torch.zeros(2), atol=1e-4, rtol=0)
+    torch.testing.assert_close(normal.std(0, correction=0), torch.ones(2), atol=1e-3, rtol=0)
+
+
+def test_before_any_row_nothing_is_changed():
+    value = torch.randn(4, 2)
+    torch.testing.assert_close(RunningMoments(2).normalize(value), value)
+
+
+def test_a_feature_that_never_moves_stays_finite():
+    moments = RunningMoments(1)
+    moments.update(torch.full((8, 1), 3.0))
+    assert moments.scale > 0
+    assert moments.normalize(torch.full((1, 1), 3.0)).item() == 0
+
+
+def test_a_large_offset_does_not_spoil_the_variance():
+    moments = RunningMoments(1)
+    for _ in range(200):
+        moments.update(1_000 + torch.randn(64, 1))
+    assert moments.scale.item() == pytest.approx(1, rel=0.02)
+
+
+def test_all_state_is_in_the_state_dict():
+    moments, copy = RunningMoments(2), RunningMoments(2)
+    moments.update(torch.randn(9, 2))
+    copy.load_state_dict(moments.state_dict())
+    batch = torch.randn(5, 2)
+    moments.update(batch), copy.update(batch)
+    assert copy.mean.equal(moments.mean) and copy.var.equal(moments.var)
+
+
+@pytest.mark.parametrize("memory", [0.0, -1.0, float("nan")])
+def test_a_memory_that_is_not_positive_is_rejected(memory):
+    with pytest.raises(ValueError, match="`memory` must be positive"):
+        RunningMoments(1, memory=memory)
+
+
+def robust(rows, batch=256):
+    moments = RobustMoments(rows.shape[1])
+    for part in rows.split(batch):
+        moments.update(part)
+    return moments
+
+
+@pytest.mark.parametrize("batch", [1, 7, 2_000])
+def test_quartiles_of_few_rows_are_exact(batch):
+    rows = torch.randn(2_000, 3)
+    moments = robust(rows, batch)
+    low, median, high = rows.quantile(torch.tensor([0.25, 0.5, 0.75]), dim=0)
+    torch.testing.assert_close(moments.center, median)
+    torch.testing.assert_close(moments.scale, (high - low) / 1.349, atol=1e-4, rtol=0)
+
+
+def test_heavy_tails_do_not_move_a_robust_scale():
+    rows = torch.distributions.Cauchy(3.0, 2.0).sample((40_000, 4))
+    moments = robust(rows)
+    assert moments.var.sqrt().min() > 30
+    torch.testing.assert_close(moments.center, torch.full((4,), 3.0), atol=0.3, rtol=0)
+    torch.testing.assert_close(moments.scale, torch.full((4,), 4 / 1.349), atol=0, rtol=0.15)
+
+
+def test_a_robust_scale_of_a_gaussian_is_its_standard_deviation():
+    moments = robust(5 + torch.randn(40_000, 4) * torch.tensor([0.1, 1.0, 10.0, 100.0]))
+    torch.testing.assert_close(moments.scale, moments.var.sqrt(), atol=0, rtol=0.07)
+
+
+def test_rows_drawn_are_a_fair_share_of_all_that_were_seen():
+    rows = torch.arange(30_000.0).unsqueeze(-1)
+    drawn = robust(rows).rows[:, 0]
+    assert len(drawn.unique()) == NUM_DRAWN
+    counts = torch.histc(drawn, bins=10, min=0, max=30_000)
+    assert (counts - NUM_DRAWN / 10).abs().max() < 60
+    places = (drawn % 16).long().bincount()  # as of 16 worlds side by side
+    assert (places - NUM_DRAWN / 16).abs().max() < 50
+
+
+@pytest.mark.parametrize("share", [0.05, 0.2])
+def test_a_feature_that_mostly_rests_is_scaled_by_its_standard_deviation(share):
+    rows = torch.randn(8_000, 1) * (torch.rand(8_000, 1) < share)
+    moments = robust(rows)
+    torch.testing.assert_close(moments.scale, rows.std(0, correction=0), atol=1e-5, rtol=1e-3)
+
+
+def test_a_feature_that_never_moves_has_a_robust_scale():
+    moments = robust(torch.full((600, 1), 3.0))
+    assert moments.scale > 0
+    assert moments.normalize(torch.full((1, 1), 3.0)).item() == 0
+
+
+def test_before_a_second_row_a_robust_scale_is_one():
+    moments = RobustMoments(2)
+    value = torch.randn(4, 2)
+    torch.testing.assert_close(moments.normalize(value), value)
+    moments.update(value[:1])
+    assert moments.scale.tolist() == [1, 1]
+
+
+def test_robust_state_is_all_in_the_state_dict():
+    moments, copy = RobustMoments(2), RobustMoments(2)
+    moments.update(torch.randn(3_000, 2))
+    copy.load_state_dict(moments.state_dict())
+    batch = torch.randn(500, 2)
+    moments.update(batch), copy.update(batch)
+    assert copy.center.equal(moments.center) and copy.scale.equal(moments.scale)
+    assert copy.rows.equal(moments.rows)

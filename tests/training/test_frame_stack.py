@@ -1,0 +1,153 @@
+from dataclasses import replace
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+from deep_curiosity.training.collector import VectorCollector
+from deep_curiosity.training.environments import make_environment, make_vector_environment
+from deep_curiosity.integrations.trainer import LearnerIntegration
+from deep_curiosity.training.learner import make_run_bonus
+from deep_curiosity.training.frame_stack import HistoryWindow, VectorHistoryWindow
+
+
+class Counter(gymnasium.Env):
+    """Shows the seed of its episode and the count of its steps; an episode has three."""
+
+    observation_space = spaces.Box(-np.inf, np.inf, (2,))
+    action_space = spaces.Box(-1.0, 1.0, (1,))
+
+    def reset(self, *, seed=None, options=None):
+        self.seed, self.count = seed, 0
+        return self._observation(), {}
+
+    def step(self, action):
+        self.count += 1
+        return self._observation(), 0.0, False, self.count == 3, {}
+
+    def _observation(self):
+        return np.array([self.seed, self.count], np.float32)
+
+
+def counters(num_envs, mode=AutoresetMode.DISABLED):
+    return SyncVectorEnv([Counter] * num_envs, autoreset_mode=mode)
+
+
+def act(*values):
+    return np.array(values, np.float32)
+
+
+def test_windows_of_two_episodes():
+    env = HistoryWindow(Counter(), 3)
+    for seed in (7, 8):
+        first, _ = env.reset(seed=seed)
+        assert first.tolist() == [seed, 0, 0, seed, 0, 0, seed, 0]
+        steps = [env.step(act(action)) for action in (0.25, -0.5, 5.0)]
+        assert [step[0].tolist() for step in steps] == [
+            [seed, 0, 0, seed, 0, 0.25, seed, 1],
+            [seed, 0, 0.25, seed, 1, -0.5, seed, 2],
+            [seed, 1, -0.5, seed, 2, 1.0, seed, 3],  # the action is as the space clips it
+        ]
+        assert [step[3] for step in steps] == [False, False, True]
+
+
+def test_only_worlds_that_are_told_to_begin_anew():
+    worlds = VectorHistoryWindow(counters(3), 2)
+    worlds.reset(seed=[1, 2, 3])
+    for action in (0.25, 0.5, 0.75):
+        window = worlds.step(np.full((3, 1), action, np.float32))[0]
+    assert window.tolist() == [[seed, 2, 0.75, seed, 3] for seed in (1, 2, 3)]
+    mask = np.array([False, True, True])
+    window, _ = worlds.reset(seed=[None, 5, 6], options={"reset_mask": mask})
+    assert window.tolist() == [[1, 2, 0.75, 1, 3], [5, 0, 0, 5, 0], [6, 0, 0, 6, 0]]
+
+
+def test_without_a_past_a_window_is_the_observation():
+    env = HistoryWindow(Counter(), 1)
+    assert env.reset(seed=4)[0].tolist() == [4, 0]
+    assert env.step(act(0.5))[0].tolist() == [4, 1]
+    assert env.observation_space == Counter.observation_space
+
+
+def test_what_was_returned_stays_as_it_was():
+    for env, action in ((HistoryWindow(Counter(), 2), act(0.5)), (counters(2), act(0.5, 0.5))):
+        env = env if isinstance(env, HistoryWindow) else VectorHistoryWindow(env, 2)
+        returned = [env.reset(seed=0)[0], env.step(action.reshape(env.action_space.shape))[0]]
+        before = [window.copy() for window in returned]
+        env.step(-action.reshape(env.action_space.shape))
+        assert all(np.array_equal(*pair) for pair in zip(returned, before, strict=True))
+
+
+@pytest.mark.parametrize("vectorization", ["native", "sync", "async"])
+def test_worlds_have_the_windows_of_single_environments(vectorization):
+    task = "ReacherSparse", {"action_cost": 0.1}
+    worlds = make_vector_environment(*task, num_envs=2, vectorization=vectorization, history=3)
+    collector = VectorCollector(worlds, seed=0)
+    singles = [make_environment(*task, history=3) for _ in range(2)]
+    random, starts = np.random.default_rng(0), []
+    for step in range(220):  # two episodes and some of the third
+        if step % 100 == 0:
+            starts = [_seed(step // 100 * 2 + world) for world in range(2)]
+            first = [env.reset(seed=seed)[0] for env, seed in zip(singles, starts, strict=True)]
+            assert np.array_equal(collector.observation, first)
+        action = random.uniform(-1, 1, (2, 2)).astype(np.float32)
+        taken = collector.step(action)[0]
+        expected = [env.step(row)[0] for env, row in zip(singles, action, strict=True)]
+        np.testing.assert_allclose(taken.next_observation, expected, rtol=0, atol=1e-6)
+    assert worlds.single_observation_space == singles[0].observation_space
+    assert worlds.single_observation_space.contains(taken.next_observation[0])
+    worlds.close()
+
+
+def _seed(number):
+    return int(np.random.SeedSequence((0, number)).generate_state(1)[0])
+
+
+@pytest.mark.parametrize(("history", "size"), [(1, 2), (2, 5), (4, 11)])
+def test_the_space_grows_with_the_history(history, size):
+    one = make_environment("PendulumHiddenVelocity", history=history)
+    several = make_vector_environment("PendulumHiddenVelocity", num_envs=2, history=history)
+    assert one.observation_space.shape == (size,)
+    assert one.observation_space.contains(one.reset(seed=0)[0])
+    assert several.observation_space.shape == (2, size)
+    assert several.single_observation_space == one.observation_space
+
+
+def test_the_space_keeps_the_precision_of_the_observation():
+    env = make_environment("InvertedPendulum-v5", history=2)
+    window, _ = env.reset(seed=0)
+    assert window.dtype == env.observation_space.dtype == np.float64
+    assert env.step(act(0.5))[0].dtype == np.float64
+    env.close()
+
+
+def test_a_history_without_an_observation_is_rejected():
+    with pytest.raises(ValueError, match="`history` must be at least 1, got 0"):
+        HistoryWindow(Counter(), 0)
+    with pytest.raises(ValueError, match="`history` must be at least 1, got 0"):
+        make_vector_environment("PointMaze", num_envs=2, history=0)
+
+
+@pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP])
+def test_worlds_that_reset_by_themselves_are_rejected(mode):
+    with pytest.raises(ValueError, match="`env` must have its autoreset disabled, got"):
+        VectorHistoryWindow(counters(2, mode), 2)
+
+
+def test_the_check_looks_through_the_same_window(tiny):
+    agent = LearnerIntegration(replace(tiny, history=3))
+    assert agent.collect(5, seed=0).observation.shape == (5, 3 * 3 + 2 * 1)
+
+
+@pytest.mark.parametrize(
+    ("history", "asked", "entries"),
+    [(1, (), None), (3, (), [4, 5, 6, 8, 9, 10]), (3, (0, -1), [0, 10])],
+)
+def test_curiosity_is_about_the_two_newest_observations_of_a_window(tiny, history, asked, entries):
+    """Of three entries, with one action between two observations."""
+    settings = replace(tiny, history=history, features=asked)
+    bonus = make_run_bonus(settings, 3 * history + history - 1, 1)
+    found = None if bonus.entries is None else bonus.entries.tolist()
+    assert found == entries
