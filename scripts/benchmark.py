@@ -16,9 +16,9 @@ import torch
 import tyro
 
 from deep_curiosity.benchmark.agents import measure_agents
-from deep_curiosity.benchmark.runners import make_peer
+from deep_curiosity.benchmark.runners import import_runner
 from deep_curiosity.benchmark.costs import measure_bonus, measure_devices, measure_growth
-from deep_curiosity.benchmark.own_agent import OurAgent
+from deep_curiosity.benchmark.own_agent import OwnAgent
 from deep_curiosity.benchmark.page import AS_USED, SAME_PRECISION, write_page
 from deep_curiosity.benchmark.figures import (
     draw_agents,
@@ -31,16 +31,16 @@ from deep_curiosity.benchmark.tables import read_rows, save_rows
 from deep_curiosity.benchmark.vector import measure_vector_environments
 from deep_curiosity.training import Settings
 from deep_curiosity.speed.machine import prepare_machine
-from deep_curiosity.training.config import NOTHING_SPARED
+from deep_curiosity.training.config import EXACT
 
 STABLE_BASELINES = "deep_curiosity.benchmark.stable_baselines:StableBaselines"
 PLAIN = Settings(env_id="HalfCheetah-v5", bonus="none", prior="uniform")
 CURIOUS = replace(PLAIN, bonus="curiosity", prior="learned")
 OURS = {
     "plain": PLAIN,
-    "plain, nothing spared": replace(PLAIN, **NOTHING_SPARED),
+    "plain, nothing spared": replace(PLAIN, **EXACT),
     "curious": CURIOUS,
-    "curious, nothing spared": replace(CURIOUS, **NOTHING_SPARED),
+    "curious, nothing spared": replace(CURIOUS, **EXACT),
 }
 BONUS_CALLS = 50  # in a turn: a tenth of a second
 ADAPTER_CALLS = 50  # in a turn: three seconds
@@ -66,8 +66,8 @@ class Args:
     only: Literal["agents", "bonus", "scaling", "vector", "adapters", "cuda"] | None = None
     """One section; the page keeps what is there of the others."""
     peers: dict[str, str] = field(default_factory=dict)
-    """Further agents, each a name and module:callable, which makes a contender as described in
-    deep_curiosity/benchmark/contenders.py."""
+    """Further agents, each a name and module:callable, which makes a runner as described in
+    deep_curiosity/benchmark/runners.py."""
 
 
 class LeftOutError(Exception):
@@ -100,12 +100,12 @@ def agents(args: Args) -> None:
         for name, settings in OURS.items()
         for how, switch in {"compiled": "on", "eager": "off"}.items()
     }
-    contenders = {name: partial(OurAgent, own, precision) for name, own in ours.items()} | {
-        AS_USED: partial(make_peer, STABLE_BASELINES, PLAIN.env_id, "highest"),
-        SAME_PRECISION: partial(make_peer, STABLE_BASELINES, PLAIN.env_id, precision),
+    runners = {name: partial(OwnAgent, own, precision) for name, own in ours.items()} | {
+        AS_USED: partial(import_runner, STABLE_BASELINES, PLAIN.env_id, "highest"),
+        SAME_PRECISION: partial(import_runner, STABLE_BASELINES, PLAIN.env_id, precision),
     }
-    contenders |= {name: partial(make_peer, address) for name, address in args.peers.items()}
-    turns, processes = measure_agents(contenders, ours, repeats=args.repeats, steps=args.steps)
+    runners |= {name: partial(import_runner, address) for name, address in args.peers.items()}
+    turns, processes = measure_agents(runners, ours, repeats=args.repeats, steps=args.steps)
     save_rows(args.out / "agents.csv", turns)
     save_rows(args.out / "processes.csv", processes)
     draw_agents(args.out / "agents.png", turns, ours)
@@ -155,13 +155,13 @@ def cuda(args: Args) -> None:
         for name in ("plain", "curious")
         for how, switch in ways.items()
     }
-    contenders = {name: partial(OurAgent, own, "auto") for name, own in ours.items()} | {
+    runners = {name: partial(OwnAgent, own, "auto") for name, own in ours.items()} | {
         f"{AS_USED}, {device}": partial(
-            make_peer, STABLE_BASELINES, PLAIN.env_id, "highest", device
+            import_runner, STABLE_BASELINES, PLAIN.env_id, "highest", device
         )
         for device in ("cuda", "cpu")
     }
-    turns, processes = measure_agents(contenders, {}, repeats=args.repeats, steps=args.steps)
+    turns, processes = measure_agents(runners, {}, repeats=args.repeats, steps=args.steps)
     save_rows(args.out / "cuda_agents.csv", turns)
     save_rows(args.out / "cuda_processes.csv", processes)
     draw_agents(args.out / "cuda_agents.png", turns, ours)

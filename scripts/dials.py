@@ -27,7 +27,7 @@ from deep_curiosity.experiments.grid import (
     EVALUATION_TAG,
     markdown_table,
     median_and_range,
-    placed,
+    find_finished,
     run_once,
     write_table,
 )
@@ -402,7 +402,7 @@ def main() -> None:
         for task, place, seed in cells
     ]
     with ProcessPoolExecutor(args.workers, mp_context=get_context("spawn")) as pool:
-        measured = list(pool.map(dial.measure, placed(jobs, args.runs)))
+        measured = list(pool.map(dial.measure, find_finished(jobs, args.runs)))
     rows = [
         {"task": task, dial.x: place, "seed": seed} | row
         for (task, place, seed), own in zip(cells, measured, strict=True)

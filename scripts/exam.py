@@ -19,7 +19,7 @@ from deep_curiosity.tabular.worlds import reliable_unreliable
 from deep_curiosity.training import Settings
 from deep_curiosity.training.environments import make_environment
 from deep_curiosity.training.playback import load_agent
-from deep_curiosity.training.config import NOTHING_SPARED
+from deep_curiosity.training.config import EXACT
 from deep_curiosity.experiments.grid import markdown_table, run_once, write_table
 
 NUM_DRAWS = 20_000  # actions drawn in each state to know the policy by
@@ -31,7 +31,7 @@ CURIOUS = Settings(
     policy_modes=2,
     outcomes=2,
     members=2,
-    **NOTHING_SPARED | {"refresh_interval": 2},
+    **EXACT | {"refresh_interval": 2},
     hidden_dim=64,
     temperature=0.03,
     temperature_control="constant",

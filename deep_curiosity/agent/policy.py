@@ -9,7 +9,7 @@ from jaxtyping import Float, Float32
 from torch import Tensor, nn
 
 from deep_curiosity.distributions import SquashedMixture
-from deep_curiosity.nn.mlp import StackedMLP, in_order, log_softmax_of_rest, rows_in_turn
+from deep_curiosity.nn.mlp import StackedMLP, restore_order, log_softmax_of_rest, assign_rows
 from deep_curiosity.transitions import check_counts
 
 Value = TypeVar("Value", Tensor, np.ndarray)
@@ -68,7 +68,7 @@ class GaussianPolicy(nn.Module):
         return SquashedMixture(loc, log_std, log_softmax_of_rest(logits).mT)
 
 
-class Reflex:
+class NumpyPolicy:
     """A policy of one Gaussian on NumPy views of its weights, for one observation at a time.
 
     Between two updates torch's small products find cold caches: this answers in a quarter of the
@@ -158,6 +158,6 @@ class Critics(nn.Module):
     ) -> Float[Tensor, "pairs batch"]:
         """One estimate of every value: row `r` asks critic `r % 2`, for half of what both cost."""
         pair = torch.cat([observation, action], dim=-1)
-        row, _ = rows_in_turn(len(pair), 2, pair.device)
+        row, _ = assign_rows(len(pair), 2, pair.device)
         value = self.network(pair[row].repeat(self.pairs, 1, 1)).squeeze(-1)  # critics turns
-        return in_order(value.unflatten(0, (self.pairs, 2)).movedim(0, -1), len(pair)).mT
+        return restore_order(value.unflatten(0, (self.pairs, 2)).movedim(0, -1), len(pair)).mT

@@ -12,7 +12,7 @@ LOG_STD_FLOOR = math.log(0.05)  # of a component, pre-squash: no habit is narrow
 UNIFORM_EDGE = 1 - 1e-6  # atanh is infinite at the edge of the action box
 
 
-class FlatPrior(nn.Module):
+class UniformPrior(nn.Module):
     """All actions alike, with density one on the action box: soft actor-critic's implicit prior.
 
     The normalised uniform density is lower by `log_volume`, a constant that moves no gradient.
@@ -30,7 +30,7 @@ class FlatPrior(nn.Module):
         return flat_log_prob(pre_action)
 
 
-class ActionMarginal(nn.Module):
+class LearnedPrior(nn.Module):
     r"""Learned mixture over pre-actions, fitted to the policy's own actions, (14) and (23).
 
     .. math:: p(u) = (1 - \epsilon) \sum_k w_k N(u; \mu_k, \sigma_k) + \epsilon \, p_{uniform}(u)

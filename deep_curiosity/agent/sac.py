@@ -10,7 +10,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from deep_curiosity.agent.action_information import action_information
-from deep_curiosity.agent.prior import ActionMarginal, FlatPrior
+from deep_curiosity.agent.prior import LearnedPrior, UniformPrior
 from deep_curiosity.agent.policy import Critics, GaussianPolicy
 from deep_curiosity.losses import (
     actor_loss,
@@ -38,7 +38,7 @@ RATE_PER_ACTION_DIM = {
     "learned": 1.0,
 }
 
-Asked = Callable[..., Tensor]
+BonusFunction = Callable[..., Tensor]
 """A bonus as the agent sees it: of observations, actions and, if known, next observations."""
 Hunger = Float[Tensor, ""] | Float[Tensor, " batch"]  # one for all, or one for each
 
@@ -51,7 +51,7 @@ class PolicyDraws(NamedTuple):
     weight: Float[Tensor, "modes batch"]
 
 
-class CuriousActorCritic(nn.Module):
+class CuriousSAC(nn.Module):
     r"""Actor-critic whose policy follows equation (21).
 
     .. math:: \pi(a|x) \propto p(a) \exp((Q_D(x, a) + \alpha Q(x, a)) / \lambda)
@@ -114,7 +114,7 @@ class CuriousActorCritic(nn.Module):
     _curiosity_weight: Tensor
     discounts: Tensor
     spreads: Tensor
-    prior: FlatPrior | ActionMarginal
+    prior: UniformPrior | LearnedPrior
 
     def __init__(
         self,
@@ -182,7 +182,7 @@ class CuriousActorCritic(nn.Module):
         )
         self.critics = Critics(seen_dim, action_dim, pairs=len(discounts), hidden_dims=hidden_dims)
         self.target_critics = deepcopy(self.critics).requires_grad_(False)
-        self.prior = FlatPrior(action_dim) if prior == "uniform" else ActionMarginal(action_dim)
+        self.prior = UniformPrior(action_dim) if prior == "uniform" else LearnedPrior(action_dim)
         self.log_temperature = nn.Parameter(torch.zeros(()), requires_grad=tune_temperature)
         self.register_buffer("_hunger", torch.zeros(()))
         self.register_buffer("_curiosity_weight", torch.ones(()))
@@ -284,14 +284,14 @@ class CuriousActorCritic(nn.Module):
         return torch.tanh(policy.draw())
 
     def update(
-        self, batch: Transition | Sequences, bonus: Asked | None = None
+        self, batch: Transition | Sequences, bonus: BonusFunction | None = None
     ) -> dict[str, Tensor]:
         """Take one gradient step on every part.
 
         Args:
             batch: From replay, the reward as the environment gave it; sequences where more than
                 one step is to be summed.
-            bonus: Asked afresh for the batch, so that nothing in replay is ever stale.
+            bonus: BonusFunction afresh for the batch, so that nothing in replay is ever stale.
 
         Returns:
             What to log: detached 0-d tensors, information in nats.
@@ -338,7 +338,7 @@ class CuriousActorCritic(nn.Module):
                 information = action_information(policy, policy.draw())
             metrics["action_information_lower"] = information.lower
             metrics["action_information_upper"] = information.upper
-        if not isinstance(self.prior, FlatPrior):
+        if not isinstance(self.prior, UniformPrior):
             generator = torch.Generator().manual_seed(0)
             noise = torch.randn(NUM_PRIOR_DRAWS, self.action_dim, generator=generator)
             kl = self.prior.kl_to_uniform(noise.to(self.log_temperature))
@@ -362,7 +362,7 @@ class CuriousActorCritic(nn.Module):
         check_transition(steps, self.observation_dim, self.action_dim, dtype)
 
     def _update_critics(
-        self, batch: Transition | Sequences, bonus: Asked | None, hunger: Hunger
+        self, batch: Transition | Sequences, bonus: BonusFunction | None, hunger: Hunger
     ) -> dict[str, Tensor]:
         if isinstance(batch, Sequences):
             transition, target = batch.first, self._targets_ahead(batch, bonus, hunger)
@@ -382,7 +382,7 @@ class CuriousActorCritic(nn.Module):
 
     @torch.no_grad()
     def _targets(
-        self, transition: Transition, bonus: Asked | None, hunger: Hunger
+        self, transition: Transition, bonus: BonusFunction | None, hunger: Hunger
     ) -> Float[Tensor, "pairs batch"]:
         """One-step targets of the extrinsic value and, where it is learned, of the curious one."""
         next_value = self._next_values(transition.next_observation, hunger)
@@ -393,7 +393,7 @@ class CuriousActorCritic(nn.Module):
 
     @torch.no_grad()
     def _targets_ahead(
-        self, sequences: Sequences, bonus: Asked | None, hunger: Hunger
+        self, sequences: Sequences, bonus: BonusFunction | None, hunger: Hunger
     ) -> Float[Tensor, "pairs batch"]:
         """The same over several steps, for each value as many as are its own."""
         rewards = self._rewards(sequences.steps, bonus).unflatten(-1, sequences.alive.shape)
@@ -420,7 +420,7 @@ class CuriousActorCritic(nn.Module):
         return torch.stack(targets)
 
     def _rewards(
-        self, transition: Transition, bonus: Asked | None
+        self, transition: Transition, bonus: BonusFunction | None
     ) -> Float[Tensor, "pairs batch"]:
         """Reward and, where its value is learned, bonus."""
         rewards = [transition.reward]
@@ -453,7 +453,7 @@ class CuriousActorCritic(nn.Module):
         self,
         observation: Float[Tensor, "rows observation_dim"],
         hunger: Hunger,
-        bonus: Asked | None,
+        bonus: BonusFunction | None,
     ) -> tuple[PolicyDraws, dict[str, Tensor]]:
         """Step the policy; return its draws and what to log."""
         policy = self.policy(self.seen(observation, hunger))
@@ -481,7 +481,7 @@ class CuriousActorCritic(nn.Module):
         self,
         observation: Float[Tensor, "batch observation_dim"],
         action: Float[Tensor, "modes batch action_dim"],
-        bonus: Asked | None,
+        bonus: BonusFunction | None,
         hunger: Hunger,
     ) -> tuple[Float[Tensor, "modes batch"], Float[Tensor, "modes batch"] | float]:
         """Extrinsic and weighted curiosity value of the policy's actions, to be climbed."""
@@ -510,7 +510,7 @@ class CuriousActorCritic(nn.Module):
         return self._curiosity_weight * (ratio.clamp(max=1.0) if self.yielding else 1.0)
 
     def _update_prior(self, draws: PolicyDraws) -> dict[str, Tensor]:
-        if isinstance(self.prior, FlatPrior):
+        if isinstance(self.prior, UniformPrior):
             return {}
         loss = prior_loss(self.prior.log_prob(draws.pre_action), draws.weight)
         self._step("prior", loss)
@@ -557,7 +557,7 @@ class CuriousActorCritic(nn.Module):
     @property
     def _log_volume(self) -> float:
         """What turns a cost relative to the prior in use into nats from a normalised prior."""
-        return self.prior.log_volume if isinstance(self.prior, FlatPrior) else 0.0
+        return self.prior.log_volume if isinstance(self.prior, UniformPrior) else 0.0
 
 
 def _check_positive(name: str, value: float) -> None:

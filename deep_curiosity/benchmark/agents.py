@@ -1,9 +1,9 @@
-"""Environment steps per second of all contenders, in turns."""
+"""Environment steps per second of all runners, in turns."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from deep_curiosity.benchmark.runners import Contender, Worker
+from deep_curiosity.benchmark.runners import Runner, Worker
 from deep_curiosity.benchmark.operations import update_operations
 from deep_curiosity.training.config import Settings
 
@@ -15,17 +15,17 @@ WARM_UP_STEPS = 20  # in which compiled code settles
 
 
 def measure_agents(
-    contenders: Mapping[str, Callable[[], Contender]],
+    runners: Mapping[str, Callable[[], Runner]],
     settings: Mapping[str, Settings],
     *,
     repeats: int,
     steps: int,
     num_filled: int = NUM_FILLED,
 ) -> tuple[list[Row], list[Row]]:
-    """Let every contender step its environment in a process of its own, one at a time.
+    """Let every runner step its environment in a process of its own, one at a time.
 
     Args:
-        contenders: Makes each of them; one whose package is missing is left out.
+        runners: Makes each of them; one whose package is missing is left out.
         settings: Of those among them that are ours, whose parts are measured and counted as well.
         repeats: Turns of each.
         steps: Environment steps in a turn.
@@ -36,7 +36,7 @@ def measure_agents(
     """
     workers: dict[str, Worker] = {}
     processes: list[Row] = []
-    for name, factory in contenders.items():
+    for name, factory in runners.items():
         try:
             worker = Worker(factory)
         except ImportError as error:
@@ -47,11 +47,11 @@ def measure_agents(
         worker.ask("step", WARM_UP_STEPS)
         print(f"{name}: first update after {seconds:.1f} s", flush=True)
         workers[name] = worker
-        processes.append({"contender": name, "first_update_seconds": seconds})
+        processes.append({"runner": name, "first_update_seconds": seconds})
     turns = []
     for repeat in range(repeats):
         for name, worker in workers.items():
-            row = {"contender": name, "repeat": repeat}
+            row = {"runner": name, "repeat": repeat}
             turns.append(row | measure_turn(worker, settings.get(name), steps))
         print(f"agents: turn {repeat + 1} of {repeats}", flush=True)
     for process, worker in zip(processes, workers.values(), strict=True):

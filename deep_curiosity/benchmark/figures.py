@@ -15,8 +15,8 @@ OURS, THEIRS = "#1f5fa8", "#888888"
 
 
 def draw_agents(path: Path, rows: Sequence[Row], ours: Container[str]) -> None:
-    """Bars: steps per second of each contender, ours in colour."""
-    groups = {str(name): own for (name,), own in grouped(rows, "contender").items()}
+    """Bars: steps per second of each runner, ours in colour."""
+    groups = {str(name): own for (name,), own in grouped(rows, "runner").items()}
     figure = Figure(figsize=(8, 0.42 * len(groups) + 1), layout="constrained")
     axes = figure.subplots()
     rates = [[row["steps_per_second"] for row in own] for own in groups.values()]

@@ -1,4 +1,4 @@
-"""Our own agent as a contender, with a stopwatch in every part of a step."""
+"""Our own agent as a runner, with a stopwatch in every part of a step."""
 
 import time
 from collections import defaultdict
@@ -44,7 +44,7 @@ class Stopwatch:
         setattr(owner, method, timed)
 
 
-class OurAgent:
+class OwnAgent:
     """Our learner and collector in the order of the training loop.
 
     Args:

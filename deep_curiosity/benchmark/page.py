@@ -15,7 +15,7 @@ from deep_curiosity.benchmark.tables import (
     spread,
 )
 from deep_curiosity.replay import ReplayBuffer
-from deep_curiosity.training.config import NOTHING_SPARED, Settings
+from deep_curiosity.training.config import EXACT, Settings
 from deep_curiosity.experiments.grid import markdown_table
 
 AS_USED, SAME_PRECISION = "Stable-Baselines3", "Stable-Baselines3, our precision"
@@ -56,18 +56,18 @@ def _machine_line(machine: Row) -> str:
 def agents_section(out: Path) -> str:
     """Rates, ratios, memory; parts; floors."""
     rows = read_rows(out / "agents.csv")
-    processes = {row["contender"]: row for row in read_rows(out / "processes.csv")}
+    processes = {row["runner"]: row for row in read_rows(out / "processes.csv")}
     return f"""## Agents
 
 HalfCheetah-v5, batch 256, two layers of 256, one update for every environment step, {NUM_FILLED}
-transitions in replay. Every contender has a process of its own, and only one computes at a time.
+transitions in replay. Every runner has a process of its own, and only one computes at a time.
 Stable-Baselines3's SAC (SB3) is taken as its users run it, with torch's own precision of matrix
 products, and with the precision that ours runs with. "Curious" is the default with the learned
 prior. By default the policy learns from every second transition of a batch, where it climbs one
 critic of each pair, each transition trains one model and asks one for its bonus, and the marginal
 is renewed at every {Settings.refresh_interval}th update. With "nothing spared" policy and models
 learn from all, the policy climbs the smaller of two critics, as that of SB3 does, all models are
-asked for every bonus, and the marginal is renewed at every {NOTHING_SPARED["refresh_interval"]}th
+asked for every bonus, and the marginal is renewed at every {EXACT["refresh_interval"]}th
 update. The first update is counted from the start of the process, imports and cold compilation
 included; memory is the largest resident memory of the process. A million transitions of replay
 take {replay_megabytes():.0f} MB.
@@ -95,7 +95,7 @@ calls the kernel itself (`deep_curiosity/products.py`).
 
 def rates_table(rows: Sequence[Row], processes: dict[str, Row]) -> str:
     """Steps per second, ratios to Stable-Baselines3, time to the first update, memory."""
-    groups = {str(name): own for (name,), own in grouped(rows, "contender").items()}
+    groups = {str(name): own for (name,), own in grouped(rows, "runner").items()}
     lines = []
     for name, own in groups.items():
         process = processes[name]
@@ -120,7 +120,7 @@ def parts_table(rows: Sequence[Row]) -> str:
     """Medians of the parts of a step."""
     columns = [*PARTS, "models", "agent", "update"]
     lines = []
-    for (name,), own in grouped(_ours(rows), "contender").items():
+    for (name,), own in grouped(_ours(rows), "runner").items():
         if own[0]["agent_ms"] != "":
             own = [row | {"models_ms": row["learning_ms"] - row["agent_ms"]} for row in own]
         known = [column for column in columns if own[0].get(f"{column}_ms", "") != ""]
@@ -141,7 +141,7 @@ def floor_table(rows: Sequence[Row]) -> str:
             spread(own, "update_ms"),
             spread(own, ratio("update_ms", "floor_ms")),
         ]
-        for (name,), own in grouped(_ours(rows), "contender").items()
+        for (name,), own in grouped(_ours(rows), "runner").items()
     ]
     header = ["agent", "GFLOP", "GFLOP/s", "floor, ms", "update, ms", "update / floor"]
     return markdown_table(header, lines)
@@ -261,7 +261,7 @@ sample without the other two is the adapter's overhead, in percent of the traini
 def cuda_section(out: Path) -> str:
     """Agents and updates on a GPU and on the CPU beside it."""
     agents, updates = read_rows(out / "cuda_agents.csv"), read_rows(out / "cuda_updates.csv")
-    processes = {str(row["contender"]): row for row in read_rows(out / "cuda_processes.csv")}
+    processes = {str(row["runner"]): row for row in read_rows(out / "cuda_processes.csv")}
     lines = [
         [
             str(name),
@@ -270,7 +270,7 @@ def cuda_section(out: Path) -> str:
             spread(own, rate_over(agents, f"{AS_USED}, cuda")),
             f"{processes[str(name)]['first_update_seconds']:.1f}",
         ]
-        for (name,), own in grouped(agents, "contender").items()
+        for (name,), own in grouped(agents, "runner").items()
     ]
     header = ["agent", "steps per second", "to SB3, cpu", "to SB3, cuda", "first update, s"]
     sizes = [size for (size,) in grouped(updates, "batch_size")]

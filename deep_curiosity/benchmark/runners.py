@@ -1,6 +1,6 @@
-"""Contenders: what a benchmark asks of an agent, and the process in which each one lives.
+"""Runners: what a benchmark asks of an agent, and the process in which each one lives.
 
-Another agent joins by an adapter, a callable without arguments that makes a `Contender`, as
+Another agent joins by an adapter, a callable without arguments that makes a `Runner`, as
 `stable_baselines.py` is one; `scripts/benchmark.py --peers NAME module:callable` takes it in.
 """
 
@@ -18,7 +18,7 @@ import torch
 
 
 @runtime_checkable
-class Contender(Protocol):
+class Runner(Protocol):
     """An agent in its environment, with random actions behind it and updates ahead."""
 
     def fill(self, num_transitions: int) -> None:
@@ -28,11 +28,11 @@ class Contender(Protocol):
         """Take environment steps, each followed by one update."""
 
 
-def make_peer(address: str, *args: Any) -> Contender:
+def import_runner(address: str, *args: Any) -> Runner:
     """Import `module:callable` and call it, here and not earlier: its package may be missing."""
     module, name = address.split(":")
-    contender: Contender = getattr(importlib.import_module(module), name)(*args)
-    return contender
+    runner: Runner = getattr(importlib.import_module(module), name)(*args)
+    return runner
 
 
 class Answer(NamedTuple):
@@ -48,7 +48,7 @@ class Answer(NamedTuple):
 class Worker:
     """A process of its own in which an object lives, which computes only when asked.
 
-    Matrix precision, memory allocation and compiled code concern a whole process: so no contender
+    Matrix precision, memory allocation and compiled code concern a whole process: so no runner
     profits or suffers from another's. Nothing is compiled beforehand; torch has one thread.
 
     Args:
@@ -99,7 +99,7 @@ def _serve(pipe: Connection, factory: Callable[[], object]) -> None:
         os.environ["TORCHINDUCTOR_CACHE_DIR"] = cache  # nothing is found that was compiled before
         torch.set_num_threads(1)
         try:
-            contender = factory()
+            runner = factory()
         except ImportError as error:
             pipe.send(error)
             return
@@ -107,7 +107,7 @@ def _serve(pipe: Connection, factory: Callable[[], object]) -> None:
         while (request := pipe.recv()) is not None:
             method, args = request
             started = time.perf_counter()
-            value = getattr(contender, method)(*args)
+            value = getattr(runner, method)(*args)
             pipe.send(Answer(value, time.perf_counter() - started, peak_megabytes()))
 
 

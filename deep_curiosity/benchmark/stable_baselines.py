@@ -1,4 +1,4 @@
-"""Stable-Baselines3's soft actor-critic as a contender: the pattern of an adapter."""
+"""Stable-Baselines3's soft actor-critic as a runner: the pattern of an adapter."""
 
 from typing import Any
 

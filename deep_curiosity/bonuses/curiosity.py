@@ -13,9 +13,9 @@ from deep_curiosity.distributions import drawn, gaussian_log_prob
 from deep_curiosity.gaussians import jensen_shannon_lower, jensen_shannon_upper
 from deep_curiosity.bonuses.dynamics import DynamicsEnsemble, Features, Prediction
 from deep_curiosity.bonuses.marginal import NextStateMarginal
-from deep_curiosity.nn.mlp import frozen, in_order, rows_in_turn
+from deep_curiosity.nn.mlp import frozen, restore_order, assign_rows
 from deep_curiosity.nn.normalization import Standardization
-from deep_curiosity.nn.every import Pace
+from deep_curiosity.nn.every import Every
 from deep_curiosity.bonuses.decomposition import (
     DIVERGENCE,
     coefficients_of,
@@ -171,7 +171,7 @@ class CuriosityBonus(Bonus):
                 learning_rate=weight_learning_rate,
             )
         )
-        self.pace = Pace(refresh_interval)
+        self.every = Every(refresh_interval)
         self.register_buffer("probe_observation", torch.zeros(NUM_PROBES, observation_dim))
         self.register_buffer("probe_action", torch.zeros(NUM_PROBES, action_dim))
 
@@ -241,11 +241,11 @@ class CuriosityBonus(Bonus):
         self._refresh(transition, fresh)
         if self.tuned_weight is not None and policy is not None:
             self._tune_weight(self.tuned_weight, fresh)
-        self.pace.count()
+        self.every.count()
 
     def passes(self) -> bool:
         """Whether the next batch would only be counted, and then count it."""
-        return self.pace.passes()
+        return self.every.passes()
 
     def decompose(
         self,
@@ -358,9 +358,9 @@ class CuriosityBonus(Bonus):
     def _predict_in_turn(self, observation: Tensor, action: Tensor) -> Prediction:
         """Prediction of each pair by one member: row `r` asks member `r % members`."""
         batch = observation.shape[0]
-        row, _ = rows_in_turn(batch, self.dynamics.members, observation.device)
+        row, _ = assign_rows(batch, self.dynamics.members, observation.device)
         in_turn = self.dynamics(observation[row], action[row])  # members turns ...
-        fields = (in_order(field, batch).unsqueeze(0) for field in in_turn)
+        fields = (restore_order(field, batch).unsqueeze(0) for field in in_turn)
         return self._of_interest(Prediction(*fields))
 
     def _of_interest(self, prediction: Prediction) -> Prediction:
@@ -414,7 +414,7 @@ class CuriosityBonus(Bonus):
         if tuned_weight.goal is None:
             moments = self.standardization.moments
             earned = (earned - moments.mean[0]) / moments.scale[0]
-        tuned_weight.follow(earned, self.pace.interval)
+        tuned_weight.follow(earned, self.every.interval)
 
     def _floor_share(self, prediction: Prediction) -> Tensor:
         """Mean share of the predicted variance that is the floor: at 1 the model is sharper."""

@@ -11,7 +11,7 @@ from torch.nn.functional import softplus
 
 from deep_curiosity.distributions import gaussian_log_prob
 from deep_curiosity.nn.hashing import HASH_FACTOR, HASH_OFFSET, scrambled
-from deep_curiosity.nn.mlp import StackedMLP, log_softmax_of_rest, rows_in_turn
+from deep_curiosity.nn.mlp import StackedMLP, log_softmax_of_rest, assign_rows
 from deep_curiosity.nn.normalization import WHITENINGS
 from deep_curiosity.transitions import Transition, check_counts, check_finite
 
@@ -146,7 +146,7 @@ class DynamicsEnsemble(nn.Module):
         held_out = is_held_out(torch.cat([observation, action, next_observation], -1))
         num_trained = (~held_out).sum().clamp(min=1)
         if self.member_per_row:
-            row, once = rows_in_turn(observation.shape[0], self.members, observation.device)
+            row, once = assign_rows(observation.shape[0], self.members, observation.device)
             observation, action, next_observation, held_out = (
                 field[row] for field in (observation, action, next_observation, held_out)
             )

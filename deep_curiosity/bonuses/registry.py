@@ -10,14 +10,14 @@ from torch import Tensor, nn
 from deep_curiosity.bonuses.base import Bonus, Policy
 from deep_curiosity.bonuses.curiosity import CuriosityBonus
 from deep_curiosity.nn.adam import Adam
-from deep_curiosity.nn.every import Pace
+from deep_curiosity.nn.every import Every
 from deep_curiosity.bonuses.baselines import (
     DisagreementBonus,
-    DistillationBonus,
+    RNDBonus,
     HashCountBonus,
     InformationGainBonus,
     NearestNeighboursBonus,
-    PredictionErrorBonus,
+    ICMBonus,
 )
 from deep_curiosity.transitions import Transition, check_counts
 
@@ -25,8 +25,8 @@ BONUSES: dict[str, type[Bonus]] = {
     "curiosity": CuriosityBonus,
     "disagreement": DisagreementBonus,
     "information-gain": InformationGainBonus,
-    "rnd": DistillationBonus,
-    "icm": PredictionErrorBonus,
+    "rnd": RNDBonus,
+    "icm": ICMBonus,
     "nearest-neighbours": NearestNeighboursBonus,
     "hash-count": HashCountBonus,
 }
@@ -51,7 +51,7 @@ def make_bonus(name: str, observation_dim: int, action_dim: int, **options: Any)
 
 
 class BonusLearner(nn.Module):
-    """A bonus with its optimiser and its pace: what an adapter keeps beside an agent.
+    """A bonus with its optimiser and its every: what an adapter keeps beside an agent.
 
     Args:
         bonus: What is learned and asked.
@@ -72,7 +72,7 @@ class BonusLearner(nn.Module):
             raise ValueError(f"`learning_rate` must be positive and finite, got {learning_rate}.")
         self.bonus = bonus
         check_counts(update_interval=update_interval)
-        self.pace = Pace(update_interval)
+        self.every = Every(update_interval)
         parameters = [part for part in bonus.parameters() if part.requires_grad]
         self.optimizer = Adam(parameters, learning_rate) if parameters else None
 
@@ -84,9 +84,9 @@ class BonusLearner(nn.Module):
             policy: Draws fresh actions at the batch's observations.
         """
         self.bonus.observe(transition, policy)
-        if self.pace.is_due:
+        if self.every.is_due:
             self.fit(transition)
-        self.pace.count()
+        self.every.count()
 
     def fit(self, transition: Transition) -> Float[Tensor, ""]:
         """Take a gradient step on the networks of the bonus; return the loss before it."""

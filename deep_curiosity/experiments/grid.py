@@ -16,7 +16,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from deep_curiosity.training.loop import train
-from deep_curiosity.training.log import CONFIG, SUMMARY, identity, read_progress
+from deep_curiosity.training.log import CONFIG, SUMMARY, config_key, read_progress
 from deep_curiosity.training.config import Settings
 
 RESULT_COLUMNS = (
@@ -65,7 +65,7 @@ def run_study(
 ) -> list[dict[str, Any]]:
     """Train every agent on every task with every seed, and write tables, curves and picture.
 
-    A run whose folder holds a summary is not run again; one that was cut off is continued. Where a
+    A run whose folder holds a summary is not run again; one that was cut off is merge_config. Where a
     folder holds a run of other settings, a FileExistsError names them.
 
     Args:
@@ -174,14 +174,14 @@ def _draw_agent(
 
 
 def run_once(settings: Settings) -> dict[str, Any]:
-    """Summary of a run: read where it is finished, continued or begun where it is not.
+    """Summary of a run: read where it is finished, merge_config or begun where it is not.
 
     Raises:
         FileExistsError: If the folder holds a run of other settings.
     """
     if not (settings.out / CONFIG).exists():
         return train(settings, show_progress=False)
-    there, here = identity(settings.out), identity(settings)
+    there, here = config_key(settings.out), config_key(settings)
     differing = {name for name in there.keys() | here.keys() if there.get(name) != here.get(name)}
     if others := sorted(differing - {"total_steps"}):
         raise FileExistsError(
@@ -196,12 +196,12 @@ def run_once(settings: Settings) -> dict[str, Any]:
     return train(replace(settings, resume=settings.out), show_progress=False)
 
 
-def placed(jobs: Sequence[Settings], runs: Path) -> list[Settings]:
+def find_finished(jobs: Sequence[Settings], runs: Path) -> list[Settings]:
     """The same jobs, those that lie somewhere below a folder already in their places there."""
-    lying = [(identity(path.parent), path.parent) for path in sorted(runs.rglob(CONFIG))]
+    lying = [(config_key(path.parent), path.parent) for path in sorted(runs.rglob(CONFIG))]
 
     def place(job: Settings) -> Path:
-        own = identity(job)
+        own = config_key(job)
         return next((folder for other, folder in lying if other == own), job.out)
 
     return [replace(job, out=place(job)) for job in jobs]

@@ -4,7 +4,7 @@ import torch
 from torch import Tensor, nn
 
 
-class Pace(nn.Module):
+class Every(nn.Module):
     """Counts calls; the first is due, and every `interval`-th after it.
 
     Args:
@@ -38,5 +38,5 @@ class Pace(nn.Module):
         self.num_calls.fill_(self._num_calls)
 
 
-def _recount(pace: Pace, _: object) -> None:
-    pace._num_calls = int(pace.num_calls)
+def _recount(every: Every, _: object) -> None:
+    every._num_calls = int(every.num_calls)

@@ -75,7 +75,7 @@ class StackedMLP(nn.Module):
         return value
 
 
-def rows_in_turn(
+def assign_rows(
     num_rows: int, members: int, device: torch.device
 ) -> tuple[Int[Tensor, "members turns"], Bool[Tensor, "members turns"]]:
     """Share rows out among members: row `r` is for member `r % members`.
@@ -89,10 +89,10 @@ def rows_in_turn(
     return row % num_rows, row < num_rows
 
 
-def in_order(
+def restore_order(
     value: Shaped[Tensor, "members turns *rest"], num_rows: int
 ) -> Shaped[Tensor, "num_rows *rest"]:
-    """What members made of the rows that `rows_in_turn` gave them, in the order of the rows."""
+    """What members made of the rows that `assign_rows` gave them, in the order of the rows."""
     return value.transpose(0, 1).flatten(0, 1)[:num_rows]
 
 

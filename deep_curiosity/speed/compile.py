@@ -8,7 +8,7 @@ from typing import Any, ParamSpec, TypeVar
 
 import torch
 
-from deep_curiosity.speed.matmul import direct_products
+from deep_curiosity.speed.matmul import direct_matmul
 
 Inputs = ParamSpec("Inputs")
 Output = TypeVar("Output")
@@ -137,4 +137,4 @@ def _options(device: torch.device) -> dict[str, Any]:
     if torch.__version__ < CPP_WRAPPER_SINCE:
         return options
     # what calls the kernels is C++ then, as they are
-    return options | {"cpp_wrapper": True} | direct_products()
+    return options | {"cpp_wrapper": True} | direct_matmul()

@@ -10,7 +10,7 @@ from deep_curiosity.speed.precision import matmul_is_float32
 INSTRUCTIONS = ("AVX2", "AVX512")  # for which torch writes the kernel, at run time
 
 
-def direct_products() -> dict[str, Any]:
+def direct_matmul() -> dict[str, Any]:
     """Options of torch's compiler for them, none where torch's own products do other work.
 
     That is where `torch.set_float32_matmul_precision` asks for less than float32, where threads

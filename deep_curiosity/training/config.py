@@ -11,7 +11,7 @@ from deep_curiosity.bonuses.registry import BONUSES
 
 SCORES_OUTCOMES = [name for name, kind in BONUSES.items() if kind.scores_outcomes]
 """Bonuses that are told what has happened, and cannot be climbed by the action."""
-NOTHING_SPARED: dict[str, Any] = {
+EXACT: dict[str, Any] = {
     "member_per_row": False,
     "actor_stride": 1,
     "critic_per_row": False,

@@ -13,7 +13,7 @@ from gymnasium import spaces
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv
 
 import deep_curiosity_envs
-from deep_curiosity.training.frame_stack import HistoryWindow, VectorHistoryWindow
+from deep_curiosity.training.frame_stack import FrameStack, VectorFrameStack
 
 GOAL_ENDS_EPISODE = frozenset({"MountainCarContinuous-v0"})
 """Tasks that say nothing of success, but terminate at the goal and nowhere else."""
@@ -32,7 +32,7 @@ def make_environment(
         env_id: Registered id; `PendulumSwingup` is short for `deep_curiosity/PendulumSwingup-v0`;
             `dm_control/DOMAIN-TASK-v0` needs the `dmc` extra.
         env_kwargs: Keyword arguments of the environment.
-        history: Observations shown together, with the actions between them; see `HistoryWindow`.
+        history: Observations shown together, with the actions between them; see `FrameStack`.
         render_mode: Passed on.
 
     Raises:
@@ -57,7 +57,7 @@ def make_environment(
         environment = _TerminationIsSuccess(environment)
     low, high = np.array([-1.0, 1.0], environment.action_space.dtype)
     environment = gymnasium.wrappers.RescaleAction(environment, low, high)
-    return environment if history == 1 else HistoryWindow(environment, history)
+    return environment if history == 1 else FrameStack(environment, history)
 
 
 def make_vector_environment(
@@ -84,7 +84,7 @@ def make_vector_environment(
             `make_environment` raises it.
     """
     worlds = _make_worlds(_registered_id(env_id), env_kwargs, num_envs, vectorization)
-    return worlds if history == 1 else VectorHistoryWindow(worlds, history)
+    return worlds if history == 1 else VectorFrameStack(worlds, history)
 
 
 def _make_worlds(

@@ -14,7 +14,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 
 
-class HistoryWindow(gymnasium.Wrapper):
+class FrameStack(gymnasium.Wrapper):
     """Shows a window in the place of the observation.
 
     Args:
@@ -46,8 +46,8 @@ class HistoryWindow(gymnasium.Wrapper):
         return self._window, reward, terminated, truncated, info
 
 
-class VectorHistoryWindow(VectorWrapper):
-    """Shows a window of every world, each as `HistoryWindow` would.
+class VectorFrameStack(VectorWrapper):
+    """Shows a window of every world, each as `FrameStack` would.
 
     Args:
         env: Its autoreset is disabled, so that a world begins anew only when it is told to.

@@ -24,12 +24,12 @@ BANDIT_SEGMENT = 250  # environment steps for which an arm is held
 BANDIT_MEMORY = 40  # segments that an arm is judged by
 BANDIT_BOLDNESS = 0.5  # weight of what is not known of an arm, in units of the range of scores
 
-Sense = Callable[[np.ndarray, Info], ArrayLike]
+HungerFunction = Callable[[np.ndarray, Info], ArrayLike]
 """Observations `(num_envs, observation_dim)`, and the info that came with them, to hunger: one
 number or `(num_envs,)`."""
 
 
-class Keeper(abc.ABC):
+class HungerController(abc.ABC):
     """Says how hungry the agent is in each world before a step, and sees what came of it."""
 
     @abc.abstractmethod
@@ -46,18 +46,18 @@ class Keeper(abc.ABC):
         """Hunger while the agent is evaluated: by default all for reward."""
         return np.ones(len(observation))
 
-    def saw(self, reward: np.ndarray, ended: np.ndarray) -> None:  # noqa: B027  most do not look
+    def record(self, reward: np.ndarray, ended: np.ndarray) -> None:  # noqa: B027  most do not look
         """Look at the newest step of each world: its reward, and whether it ended the episode."""
 
     def state_dict(self) -> dict[str, Any]:
         """What a resumed run must know."""
         return {}
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:  # noqa: B027  most remember nothing
+    def load_state_dict(self, state: dict[str, Any]) -> None:  # noqa: B027  most update_statistics nothing
         """Restore what `state_dict` gave."""
 
 
-class Scheduled(Keeper):
+class ScheduledHunger(HungerController):
     """The same hunger in all worlds, which may go with time.
 
     Args:
@@ -73,7 +73,7 @@ class Scheduled(Keeper):
         return np.array([self.schedule(step)] * len(observation))
 
 
-class Sensed(Keeper):
+class FunctionHunger(HungerController):
     """Hunger that is a function of what is seen or told, in training as in evaluations.
 
     Args:
@@ -81,7 +81,7 @@ class Sensed(Keeper):
         highest: Largest hunger there is, 1 on a dial.
     """
 
-    def __init__(self, sense: Sense, highest: float) -> None:
+    def __init__(self, sense: HungerFunction, highest: float) -> None:
         self.sense = sense
         self.highest = highest
 
@@ -107,7 +107,7 @@ class Sensed(Keeper):
         return np.full(len(observation), hunger)
 
 
-def battery_sense(entry: int | str, observation_dim: int) -> Sense:
+def battery_hunger(entry: int | str, observation_dim: int) -> HungerFunction:
     """The emptier the battery, the hungrier: the paper's own example, in its section 3.
 
     Hunger is full at half a charge: the way back must be gone on the other half.
@@ -138,7 +138,7 @@ def battery_sense(entry: int | str, observation_dim: int) -> Sense:
     return sense
 
 
-class Drawn(Keeper):
+class RandomHunger(HungerController):
     """A hunger for each episode, drawn from a few.
 
     Args:
@@ -154,7 +154,7 @@ class Drawn(Keeper):
         """What was drawn for the episode in each world."""
         return self._held
 
-    def saw(self, reward: np.ndarray, ended: np.ndarray) -> None:
+    def record(self, reward: np.ndarray, ended: np.ndarray) -> None:
         """Draw again where an episode has ended."""
         for world in np.flatnonzero(ended):
             self._held[world] = self._draw()
@@ -171,7 +171,7 @@ class Drawn(Keeper):
         return self.hungers[int(torch.randint(len(self.hungers), ()))]
 
 
-class Bandit(Keeper):
+class BanditHunger(HungerController):
     r"""A bandit over a few hungers, judged by the reward that each has brought of late.
 
     An arm is held for a segment of steps. Its score is the mean reward per step of its segments
@@ -185,7 +185,7 @@ class Bandit(Keeper):
         memory: Number of segments that count.
         boldness: Weight of what is not known of an arm.
 
-    Reference: Garivier & Moulines, "On Upper-Confidence Bound Policies for Switching Bandit
+    Reference: Garivier & Moulines, "On Upper-Confidence Bound Policies for Switching BanditHunger
     Problems" (2011), for the sliding window; Badia et al., "Agent57" (2020), for the use.
     """
 
@@ -208,7 +208,7 @@ class Bandit(Keeper):
         """The arm that is held, in all worlds."""
         return np.full(len(observation), self.hungers[self._arm])
 
-    def saw(self, reward: np.ndarray, ended: np.ndarray) -> None:
+    def record(self, reward: np.ndarray, ended: np.ndarray) -> None:
         """Add up a segment; at its end, judge it and choose again."""
         self._num_steps += len(reward)
         self._reward += float(reward.sum())
@@ -248,7 +248,7 @@ class Bandit(Keeper):
         return mean + self.boldness * math.sqrt(math.log(len(everything)) / len(scores))
 
 
-def make_keeper(settings: Settings, observation_dim: int, sense: Sense | None = None) -> Keeper:
+def make_hunger_controller(settings: Settings, observation_dim: int, sense: HungerFunction | None = None) -> HungerController:
     """Who says how hungry the agent of a run is.
 
     Args:
@@ -267,17 +267,17 @@ def make_keeper(settings: Settings, observation_dim: int, sense: Sense | None = 
                 "`hunger_control` must be 'constant' or 'dial' where `hunger` is given, "
                 f"got {settings.hunger_control!r}."
             )
-        return Sensed(sense, highest)
+        return FunctionHunger(sense, highest)
     match settings.hunger_control:
         case "constant" | "dial":
-            return Scheduled(lambda step: settings.hunger)
+            return ScheduledHunger(lambda step: settings.hunger)
         case "draws":
-            return Drawn(settings.num_envs)
+            return RandomHunger(settings.num_envs)
         case "bandit":
-            return Bandit()
+            return BanditHunger()
         case "battery":
-            return Sensed(battery_sense(settings.battery, observation_dim), highest)
+            return FunctionHunger(battery_hunger(settings.battery, observation_dim), highest)
         case shape:
-            return Scheduled(
+            return ScheduledHunger(
                 Schedule(settings.hunger, settings.final_hunger, settings.total_steps, shape)
             )

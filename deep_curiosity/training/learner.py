@@ -7,8 +7,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from deep_curiosity.agent.policy import Reflex
-from deep_curiosity.agent.sac import Asked, CuriousActorCritic
+from deep_curiosity.agent.policy import NumpyPolicy
+from deep_curiosity.agent.sac import BonusFunction, CuriousSAC
 from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.bonuses.registry import BonusLearner, make_bonus
 from deep_curiosity.speed.compile import compiled
@@ -24,7 +24,7 @@ from deep_curiosity.training.collector import (
     as_batch,
 )
 from deep_curiosity.training.exploration import NOISES, Noise
-from deep_curiosity.training.hunger import Keeper, Sense, make_keeper
+from deep_curiosity.training.hunger import HungerController, HungerFunction, make_hunger_controller
 from deep_curiosity.speed.machine import should_compile
 from deep_curiosity.training.config import Settings
 from deep_curiosity.transitions import Sequences, Transition, first_of
@@ -47,10 +47,10 @@ class Learner:
         settings: Settings,
         observation_dim: int,
         action_dim: int,
-        sense: Sense | None = None,
+        sense: HungerFunction | None = None,
     ) -> None:
         self.settings = settings
-        self.keeper = make_keeper(settings, observation_dim, sense)
+        self.hunger_controller = make_hunger_controller(settings, observation_dim, sense)
         self.agent = make_agent(settings, observation_dim, action_dim)
         self.bonus = make_run_bonus(settings, observation_dim, action_dim)
         self.noise = (
@@ -73,7 +73,7 @@ class Learner:
             seed=settings.seed,
             device=settings.device,
         )
-        self.act_deterministically = evaluation_policy(self.agent, self.keeper, settings.device)
+        self.act_deterministically = evaluation_policy(self.agent, self.hunger_controller, settings.device)
         quick = (
             settings.policy_modes == 1
             and self.agent.log_temperature.device.type == "cpu"
@@ -81,9 +81,9 @@ class Learner:
         )
         self._temperature = make_temperature_schedule(settings)
         self._hunger = torch.full((settings.num_envs,), self.agent.hunger)
-        self._told_hunger: list[float] = []  # by the keeper, and passed on to the agent
-        self._reflex = Reflex(self.agent.policy) if quick else None
-        self._reflex_noise = torch.empty(action_dim)  # drawn anew for every action
+        self._told_hunger: list[float] = []  # by the hunger_controller, and passed on to the agent
+        self._numpy_policy = NumpyPolicy(self.agent.policy) if quick else None
+        self._numpy_noise = torch.empty(action_dim)  # drawn anew for every action
         self._learn = self._learn_eagerly
         if should_compile(settings):
             self._learn = compiled(
@@ -100,7 +100,7 @@ class Learner:
             observation: `(observation_dim,)`, or `(num_envs, observation_dim)`.
             info: What the worlds say with it.
         """
-        hunger = self.keeper.hunger(step, observation.reshape(-1, observation.shape[-1]), info)
+        hunger = self.hunger_controller.hunger(step, observation.reshape(-1, observation.shape[-1]), info)
         told = hunger.tolist()
         if told != self._told_hunger:
             self._told_hunger = told
@@ -122,12 +122,12 @@ class Learner:
         shape = (*observation.shape[:-1], self.agent.action_dim)
         if explore_uniformly:
             return (2 * torch.rand(shape) - 1).numpy()
-        if self._reflex is not None and observation.ndim == 1:
-            noise = self._reflex_noise.normal_().numpy()
+        if self._numpy_policy is not None and observation.ndim == 1:
+            noise = self._numpy_noise.normal_().numpy()
             seen = observation.astype(np.float32)
             if self.agent.dial:
                 seen = np.append(seen, self._hunger.numpy())
-            return self._reflex.act(seen, noise)
+            return self._numpy_policy.act(seen, noise)
         batch = as_batch(observation).to(self.settings.device)
         hunger = self._hunger.to(self.settings.device)
         if self.noise is None:
@@ -150,7 +150,7 @@ class Learner:
         else:
             self.replay.add(*step)
         ended = np.atleast_1d(np.logical_or(step.terminated, step.truncated))
-        self.keeper.saw(np.atleast_1d(step.reward), ended)
+        self.hunger_controller.record(np.atleast_1d(step.reward), ended)
         if self.noise is not None:
             for world in np.flatnonzero(ended):
                 self.noise.begin(int(world))
@@ -198,10 +198,10 @@ class Learner:
         agent_metrics = self.agent.update(batch, bonus)
         return metrics | {f"agent/{name}": value for name, value in agent_metrics.items()}
 
-    def _answered(self, batch: Transition | Sequences) -> Asked | None:
+    def _answered(self, batch: Transition | Sequences) -> BonusFunction | None:
         """The bonus, or its answer to all that the agent will ask of it.
 
-        Asked before the models learn, it needs no pass of its own in a graph; and they learn while
+        BonusFunction before the models learn, it needs no pass of its own in a graph; and they learn while
         the pass is at hand.
         """
         if self.bonus_learner is None or not self.agent.has_curiosity_critic:
@@ -223,7 +223,7 @@ class Learner:
             "agent": self.agent.state_dict(),
             "bonus": {} if self.bonus_learner is None else self.bonus_learner.state_dict(),
             "noise": {} if self.noise is None else self.noise.state_dict(),
-            "keeper": self.keeper.state_dict(),
+            "hunger_controller": self.hunger_controller.state_dict(),
             "replay": self.replay.state_dict(),
             "random": self._random_state(),
         }
@@ -235,7 +235,7 @@ class Learner:
             self.bonus_learner.load_state_dict(state["bonus"])
         if self.noise is not None:
             self.noise.load_state_dict(state["noise"])
-        self.keeper.load_state_dict(state["keeper"])
+        self.hunger_controller.load_state_dict(state["hunger_controller"])
         self._told_hunger = []
         self.replay.load_state_dict(state["replay"])
         torch.set_rng_state(state["random"]["cpu"])
@@ -250,20 +250,20 @@ class Learner:
         return state
 
 
-def evaluation_policy(agent: CuriousActorCritic, keeper: Keeper, device: str = "cpu") -> Policy:
+def evaluation_policy(agent: CuriousSAC, hunger_controller: HungerController, device: str = "cpu") -> Policy:
     """Centre of the agent's policy, at the hunger of an evaluation."""
 
     def act(observation: Tensor, info: Info) -> Tensor:
-        sensed = keeper.in_evaluation(observation.numpy(), info)
+        sensed = hunger_controller.in_evaluation(observation.numpy(), info)
         hunger = torch.as_tensor(sensed, dtype=torch.float32, device=device)
         return agent.act(observation.to(device), deterministic=True, hunger=hunger).cpu()
 
     return act
 
 
-def make_agent(settings: Settings, observation_dim: int, action_dim: int) -> CuriousActorCritic:
+def make_agent(settings: Settings, observation_dim: int, action_dim: int) -> CuriousSAC:
     """Agent of a run."""
-    return CuriousActorCritic(
+    return CuriousSAC(
         observation_dim,
         action_dim,
         hidden_dims=(settings.hidden_dim, settings.hidden_dim),

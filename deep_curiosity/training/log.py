@@ -14,7 +14,7 @@ from deep_curiosity.training.config import Settings
 CONFIG = "config.json"
 PROGRESS = "progress.csv"
 SUMMARY = "summary.json"
-NO_MATTER = ("out", "resume", "matmul_precision")  # the last is chosen anew by the clock
+IGNORED = ("out", "resume", "matmul_precision")  # the last is chosen anew by the clock
 
 
 def open_folder(settings: Settings) -> Path:
@@ -47,13 +47,13 @@ def read_settings(folder: Path) -> Settings:
     return Settings(**values | {"out": folder, "resume": None, "features": features})
 
 
-def identity(run: Path | Settings) -> dict[str, str]:
+def config_key(run: Path | Settings) -> dict[str, str]:
     """What makes a run the one it is, in JSON: settings of one in a folder, or of one to come."""
     values = asdict(run) if isinstance(run, Settings) else _read_config(run)
     return {
         name: json.dumps(value, default=str, sort_keys=True)
         for name, value in values.items()
-        if name not in NO_MATTER
+        if name not in IGNORED
     }
 
 

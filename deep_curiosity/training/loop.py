@@ -6,7 +6,7 @@ from typing import Any
 from torch import Tensor
 from tqdm import tqdm
 
-from deep_curiosity.training.hunger import Sense
+from deep_curiosity.training.hunger import HungerFunction
 from deep_curiosity.training.interruption import catch_interruption
 from deep_curiosity.training.figures import draw_run
 from deep_curiosity.training.run import open_run
@@ -14,7 +14,7 @@ from deep_curiosity.training.config import Settings
 
 
 def train(
-    settings: Settings, *, hunger: Sense | None = None, show_progress: bool = True
+    settings: Settings, *, hunger: HungerFunction | None = None, show_progress: bool = True
 ) -> dict[str, Any]:
     """Train an agent, or continue a run, and leave its records in a folder.
 
@@ -55,7 +55,7 @@ def train(
             action = learner.act(collector.observation, explore_uniformly=not learning)
             step, finished = collector.step(action)
             learner.store(step)
-            history.saw(collector.info)
+            history.record(collector.info)
             for episode in finished:
                 history.episodes.append(episode)
                 run.records.scalars(

@@ -7,16 +7,16 @@ import imageio.v2 as imageio
 import numpy as np
 from numpy.typing import NDArray
 
-from deep_curiosity.agent.sac import CuriousActorCritic
+from deep_curiosity.agent.sac import CuriousSAC
 from deep_curiosity.training.checkpoint import load_checkpoint
 from deep_curiosity.training.collector import Collector, Episode, Policy, as_batch
 from deep_curiosity.training.environments import action_dim, observation_dim
-from deep_curiosity.training.hunger import make_keeper
+from deep_curiosity.training.hunger import make_hunger_controller
 from deep_curiosity.training.learner import evaluation_policy, make_agent
 from deep_curiosity.training.config import Settings
 
 
-def load_agent(folder: Path, settings: Settings, environment: gymnasium.Env) -> CuriousActorCritic:
+def load_agent(folder: Path, settings: Settings, environment: gymnasium.Env) -> CuriousSAC:
     """Agent of a finished or interrupted run, as its newest checkpoint has it.
 
     Raises:
@@ -49,7 +49,7 @@ def load_policy(
         )
     agent = load_agent(folder, settings, environment)
     if hunger is None:
-        return evaluation_policy(agent, make_keeper(settings, agent.observation_dim))
+        return evaluation_policy(agent, make_hunger_controller(settings, agent.observation_dim))
     agent.hunger = hunger
     return lambda observation, info: agent.act(observation, deterministic=True)
 

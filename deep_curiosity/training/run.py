@@ -25,8 +25,8 @@ from deep_curiosity.training.environments import (
     num_cells,
     observation_dim,
 )
-from deep_curiosity.training.run_log import History, mean_return, success_rate
-from deep_curiosity.training.hunger import Sense
+from deep_curiosity.training.run_log import RunLog, mean_return, success_rate
+from deep_curiosity.training.hunger import HungerFunction
 from deep_curiosity.training.learner import Learner
 from deep_curiosity.speed.machine import prepare_machine
 from deep_curiosity.training.log import (
@@ -51,7 +51,7 @@ class Run:
     evaluation_environment: gymnasium.Env
     learner: Learner
     collector: Collector | VectorCollector
-    history: History
+    history: RunLog
     records: Records
     started: float
     """Reading of `time.perf_counter` at which the run would have begun, had it never paused."""
@@ -145,7 +145,7 @@ class Run:
 
 
 @contextmanager
-def open_run(settings: Settings, sense: Sense | None = None) -> Iterator[Run]:
+def open_run(settings: Settings, sense: HungerFunction | None = None) -> Iterator[Run]:
     """Begin a run, or continue the one in `settings.resume`; close it however it ends.
 
     Args:
@@ -155,12 +155,12 @@ def open_run(settings: Settings, sense: Sense | None = None) -> Iterator[Run]:
     Raises:
         FileExistsError: If `out` already holds a run.
         FileNotFoundError: If there is no run to continue.
-        ValueError: If the environment is not one the agent can take, or a run is to be continued
+        ValueError: If the environment is not one the agent can take, or a run is to be merge_config
             with other settings than its own.
     """
     resuming = settings.resume is not None
     if settings.resume is not None:
-        settings = continued(settings, read_settings(settings.resume))
+        settings = merge_config(settings, read_settings(settings.resume))
     settings = replace(settings, matmul_precision=prepare_machine(settings))  # kept when resumed
     torch.manual_seed(settings.seed)
     evaluation_environment = make_environment(
@@ -177,7 +177,7 @@ def open_run(settings: Settings, sense: Sense | None = None) -> Iterator[Run]:
         history = _restore(settings.out, learner, collector)
         write_json(settings.out / CONFIG, asdict(settings))
     else:
-        history = History()
+        history = RunLog()
         open_folder(settings)
     records = Records(settings.out, start=history.step)
     run = Run(
@@ -191,7 +191,7 @@ def open_run(settings: Settings, sense: Sense | None = None) -> Iterator[Run]:
     )
     try:
         if not resuming:
-            run.save()  # so that a run that fails at once can still be continued
+            run.save()  # so that a run that fails at once can still be merge_config
         yield run
     finally:
         records.close()
@@ -213,7 +213,7 @@ def make_collector(settings: Settings) -> Collector | VectorCollector:
     return VectorCollector(environment, settings.seed)
 
 
-def continued(asked: Settings, own: Settings) -> Settings:
+def merge_config(asked: Settings, own: Settings) -> Settings:
     """Settings with which a run goes on: its own, but for `total_steps` where that is asked for.
 
     Raises:
@@ -241,11 +241,11 @@ def peak_memory_megabytes() -> float | None:
     return peak / (2**20 if sys.platform == "darwin" else 2**10)
 
 
-def _restore(folder: Path, learner: Learner, collector: Collector | VectorCollector) -> History:
+def _restore(folder: Path, learner: Learner, collector: Collector | VectorCollector) -> RunLog:
     state = load_checkpoint(folder)
     collector.load_state_dict(state["collector"])
     learner.load_state_dict(state["learner"])
-    return History.from_state(state["history"])
+    return RunLog.from_state(state["history"])
 
 
 def _number(value: float | None) -> float:

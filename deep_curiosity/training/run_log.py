@@ -14,7 +14,7 @@ NUM_RECENT = 10  # episodes over which returns and success are averaged
 
 
 @dataclass
-class History:
+class RunLog:
     """Episodes, evaluations and visited cells, by step."""
 
     step: int = 0
@@ -29,7 +29,7 @@ class History:
     learning_seconds: float = 0.0
     wall_seconds: float = 0.0
 
-    def saw(self, info: dict[str, Any]) -> None:
+    def record(self, info: dict[str, Any]) -> None:
         """Note what the environment, or each of several, said of the step just taken."""
         if self.first_success_step is None and np.any(info.get("is_success", False)):
             self.first_success_step = self.step
@@ -69,7 +69,7 @@ class History:
         return asdict(self) | episodes
 
     @classmethod
-    def from_state(cls, state: dict[str, Any]) -> "History":
+    def from_state(cls, state: dict[str, Any]) -> "RunLog":
         """Restore what `state_dict` gave."""
         episodes = {name: [Episode(*e) for e in state[name]] for name in EPISODE_LISTS}
         return cls(**state | episodes)

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from deep_curiosity.agent.policy import LOG_STD_RANGE, Critics, GaussianPolicy, Reflex
+from deep_curiosity.agent.policy import LOG_STD_RANGE, Critics, GaussianPolicy, NumpyPolicy
 
 
 def test_policy_has_one_gaussian_for_each_observation():
@@ -83,7 +83,7 @@ def test_values_see_observation_and_action():
 
 def test_a_reflex_acts_as_its_policy_does_and_follows_it():
     policy = GaussianPolicy(3, 2, hidden_dims=(8, 8))
-    reflex, observation, noise = Reflex(policy), torch.randn(1, 3), torch.randn(1, 1, 2)
+    reflex, observation, noise = NumpyPolicy(policy), torch.randn(1, 3), torch.randn(1, 1, 2)
     for _ in range(2):
         expected = torch.tanh(policy(observation).pre_actions(noise))
         action = reflex.act(observation[0].numpy(), noise[0, 0].numpy())
@@ -94,4 +94,4 @@ def test_a_reflex_acts_as_its_policy_does_and_follows_it():
 
 def test_a_reflex_has_one_mode():
     with pytest.raises(ValueError, match="`policy` must have one mode, got 2"):
-        Reflex(GaussianPolicy(3, 2, modes=2))
+        NumpyPolicy(GaussianPolicy(3, 2, modes=2))

@@ -5,7 +5,7 @@ import torch
 from scipy import integrate
 from torch.distributions import Categorical, MixtureSameFamily, Normal
 
-from deep_curiosity.agent.prior import LOG_STD_FLOOR, ActionMarginal, FlatPrior
+from deep_curiosity.agent.prior import LOG_STD_FLOOR, LearnedPrior, UniformPrior
 from deep_curiosity.losses import prior_loss
 
 
@@ -20,7 +20,7 @@ def log_uniform(pre_action):
 
 
 def random_marginal(action_dim=1, **options):
-    marginal = ActionMarginal(action_dim, **options).double()
+    marginal = LearnedPrior(action_dim, **options).double()
     for parameter in marginal.parameters():
         parameter.data.normal_()
     return marginal
@@ -38,7 +38,7 @@ def two_habits():
 def fitted():
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        marginal = ActionMarginal(1).double()
+        marginal = LearnedPrior(1).double()
         optimizer = torch.optim.Adam(marginal.parameters(), lr=0.03, fused=True)
         for _ in range(300):
             optimizer.zero_grad()
@@ -74,7 +74,7 @@ def test_any_density_integrates_to_one(uniform_share):
 
 
 def test_the_density_is_the_mixture_it_says_it_is():
-    marginal = ActionMarginal(1, components=1, uniform_share=0.25).double()
+    marginal = LearnedPrior(1, components=1, uniform_share=0.25).double()
     marginal.loc.data.fill_(0.5)
     marginal.raw_log_std.data.fill_(math.log(0.95))  # plus the floor of 0.05: one
     for pre_action in (-2.0, 0.0, 3.0):
@@ -87,14 +87,14 @@ def test_the_uniform_share_is_a_floor_of_the_density():
     marginal = random_marginal(action_dim=3, uniform_share=0.2)
     marginal.loc.data.fill_(50.0)  # habits far from everything asked about
     pre_action = torch.randn(100, 3, dtype=torch.float64) * 4
-    uniform = FlatPrior(3).log_prob(pre_action) - 3 * math.log(2)
+    uniform = UniformPrior(3).log_prob(pre_action) - 3 * math.log(2)
     floor = uniform + math.log(0.2)
     assert (marginal.log_prob(pre_action) >= floor - 1e-9).all()
     torch.testing.assert_close(marginal.log_prob(pre_action), floor)
 
 
 def test_no_habit_is_narrower_than_the_floor():
-    marginal = ActionMarginal(1, components=1).double()
+    marginal = LearnedPrior(1, components=1).double()
     marginal.raw_log_std.data.fill_(-50.0)
     marginal.loc.data.zero_()
     peak = 0.9 / (math.sqrt(2 * math.pi) * math.exp(LOG_STD_FLOOR)) + 0.1 * 0.5
@@ -113,41 +113,41 @@ def test_divergence_from_uniform_agrees_with_quadrature(fitted):
 
 
 def test_an_almost_uniform_marginal_does_not_diverge_from_uniform():
-    marginal = ActionMarginal(2, uniform_share=1 - 1e-6)
+    marginal = LearnedPrior(2, uniform_share=1 - 1e-6)
     assert marginal.kl_to_uniform(torch.randn(500, 2)).item() == pytest.approx(0, abs=1e-4)
 
 
 def test_divergence_from_uniform_is_finite_for_extreme_noise():
     noise = torch.tensor([[-8.0], [8.0], [0.0]])
-    assert ActionMarginal(1).kl_to_uniform(noise).isfinite()
+    assert LearnedPrior(1).kl_to_uniform(noise).isfinite()
 
 
 def test_flat_prior_integrates_to_the_volume_it_names():
-    prior = FlatPrior(1)
+    prior = UniformPrior(1)
     total, _ = integrate.quad(lambda u: density(prior, u), -20, 20)
     assert total == pytest.approx(math.exp(prior.log_volume), abs=1e-6)
 
 
 def test_flat_prior_has_nothing_to_learn():
-    assert list(FlatPrior(3).parameters()) == [] and len(FlatPrior(3).state_dict()) == 0
+    assert list(UniformPrior(3).parameters()) == [] and len(UniformPrior(3).state_dict()) == 0
 
 
 def test_gradients_reach_every_parameter_and_the_pre_action():
-    marginal = ActionMarginal(2)
+    marginal = LearnedPrior(2)
     pre_action = torch.randn(64, 2, requires_grad=True)
     prior_loss(marginal.log_prob(pre_action)).backward()
     assert all((parameter.grad != 0).any() for parameter in marginal.parameters())
     assert (pre_action.grad != 0).any()
 
 
-@pytest.mark.parametrize("prior", [FlatPrior(2), ActionMarginal(2)])
+@pytest.mark.parametrize("prior", [UniformPrior(2), LearnedPrior(2)])
 def test_any_leading_shape_will_do(prior):
     pre_action = torch.randn(3, 4, 2)
     flat = prior.log_prob(pre_action.flatten(0, 1))
     torch.testing.assert_close(prior.log_prob(pre_action).flatten(), flat)
 
 
-@pytest.mark.parametrize("prior", [FlatPrior(1), ActionMarginal(1)])
+@pytest.mark.parametrize("prior", [UniformPrior(1), LearnedPrior(1)])
 def test_log_density_is_finite_far_out(prior):
     assert prior.log_prob(torch.tensor([[-40.0], [40.0]])).isfinite().all()
 
@@ -157,4 +157,4 @@ def test_log_density_is_finite_far_out(prior):
 )
 def test_what_is_out_of_range_is_rejected_by_name_and_value(name, value):
     with pytest.raises(ValueError, match=rf"`{name}`.*got {value}"):
-        ActionMarginal(1, **{name: value})
+        LearnedPrior(1, **{name: value})

@@ -7,7 +7,7 @@ import torch
 from torch.distributions import Independent, Normal, TransformedDistribution
 from torch.distributions.transforms import TanhTransform
 
-from deep_curiosity.agent.sac import CuriousActorCritic
+from deep_curiosity.agent.sac import CuriousSAC
 from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.bonuses.baselines import ConstantBonus
 from deep_curiosity.transitions import Sequences, Transition
@@ -52,7 +52,7 @@ def double(transition):
 
 
 def small_agent(**options):
-    return CuriousActorCritic(3, 2, **{"hidden_dims": (16,)} | options)
+    return CuriousSAC(3, 2, **{"hidden_dims": (16,)} | options)
 
 
 def plain_agent(**options):
@@ -792,7 +792,7 @@ def test_the_rate_is_held_from_any_start_within_a_factor_of_a_hundred(factor):
     """One step worlds, in which the best action is a linear function of the state."""
     torch.manual_seed(0)
     right, target = 0.035, 1.0
-    agent = CuriousActorCritic(
+    agent = CuriousSAC(
         1,
         1,
         hidden_dims=(32,),

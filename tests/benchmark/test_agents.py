@@ -2,18 +2,18 @@ from dataclasses import replace
 from functools import partial
 
 from deep_curiosity.benchmark.agents import measure_agents
-from deep_curiosity.benchmark.runners import make_peer
-from deep_curiosity.benchmark.own_agent import OurAgent
+from deep_curiosity.benchmark.runners import import_runner
+from deep_curiosity.benchmark.own_agent import OwnAgent
 
 
 def test_agents_take_turns_and_who_is_missing_is_left_out(tiny, capsys):
     settings = {"ours": replace(tiny, env_id="HalfCheetah-v5", env_kwargs={}, compile="off")}
-    contenders = {
-        "ours": partial(OurAgent, settings["ours"], "highest"),
-        "theirs": partial(make_peer, "no_such_package:Agent"),
+    runners = {
+        "ours": partial(OwnAgent, settings["ours"], "highest"),
+        "theirs": partial(import_runner, "no_such_package:Agent"),
     }
-    turns, processes = measure_agents(contenders, settings, repeats=2, steps=5, num_filled=50)
-    assert [(row["contender"], row["repeat"]) for row in turns] == [("ours", 0), ("ours", 1)]
+    turns, processes = measure_agents(runners, settings, repeats=2, steps=5, num_filled=50)
+    assert [(row["runner"], row["repeat"]) for row in turns] == [("ours", 0), ("ours", 1)]
     for row in turns:
         parts = row["sampling_ms"] + row["statistics_ms"] + row["learning_ms"]
         assert 0 < row["agent_ms"] < parts <= row["update_ms"] < 1e3 / row["steps_per_second"]

@@ -8,7 +8,7 @@ from deep_curiosity.benchmark.costs import random_steps
 from deep_curiosity.benchmark.operations import climb, fit, forward, update_operations
 from deep_curiosity.training import Settings
 from deep_curiosity.training.learner import Learner
-from deep_curiosity.training.config import NOTHING_SPARED
+from deep_curiosity.training.config import EXACT
 
 SMALL = Settings(
     hidden_dim=4,
@@ -16,7 +16,7 @@ SMALL = Settings(
     members=2,
     components=5,
     compile="off",
-    **NOTHING_SPARED,
+    **EXACT,
 )
 # products: policy 3-4-4-4 has 44, critic 5-4-4-1 has 40, model 5-4-4-6 has 60
 
@@ -83,7 +83,7 @@ def test_an_actor_that_takes_every_third_row_costs_as_many_rows():
     assert whole - thinned == (10 - 4) * 2 * ((44 + 44 + 32) + 2 * (40 + 28))
 
 
-@pytest.mark.parametrize("changes", [{"bonus": "none"}, {}, NOTHING_SPARED], ids=str)
+@pytest.mark.parametrize("changes", [{"bonus": "none"}, {}, EXACT], ids=str)
 def test_torch_counts_as_many_operations(changes):
     settings = replace(Settings(batch_size=64, compile="off", **changes), refresh_interval=1)
     learner = Learner(settings, 17, 6)

@@ -2,7 +2,7 @@ from functools import partial
 
 import pytest
 
-from deep_curiosity.benchmark.runners import Worker, make_peer, peak_megabytes
+from deep_curiosity.benchmark.runners import Worker, import_runner, peak_megabytes
 
 
 def test_a_worker_computes_in_a_process_of_its_own():
@@ -14,13 +14,13 @@ def test_a_worker_computes_in_a_process_of_its_own():
 
 def test_a_package_that_is_missing_is_told():
     with pytest.raises(ImportError, match="no_such_package"):
-        Worker(partial(make_peer, "no_such_package:Agent"))
+        Worker(partial(import_runner, "no_such_package:Agent"))
 
 
 def test_stable_baselines_contends():
     pytest.importorskip("stable_baselines3")
     address = "deep_curiosity.benchmark.stable_baselines:StableBaselines"
-    worker = Worker(partial(make_peer, address, "MountainCarContinuous-v0"))
+    worker = Worker(partial(import_runner, address, "MountainCarContinuous-v0"))
     worker.ask("fill", 300)
     assert worker.ask("step", 2).seconds > 0
     worker.close()

@@ -11,7 +11,7 @@ from deep_curiosity.benchmark.tables import (
 )
 
 ROWS = [
-    {"contender": name, "repeat": repeat, "steps_per_second": rate}
+    {"runner": name, "repeat": repeat, "steps_per_second": rate}
     for name, rates in {"ours": (200.0, 100.0, 330.0), "theirs": (100.0, 100.0, 110.0)}.items()
     for repeat, rate in enumerate(rates)
 ]
@@ -31,7 +31,7 @@ def test_one_column_over_another():
 
 
 def test_groups_keep_their_order():
-    assert list(grouped(ROWS[::-1], "contender")) == [("theirs",), ("ours",)]
+    assert list(grouped(ROWS[::-1], "runner")) == [("theirs",), ("ours",)]
 
 
 def test_rows_come_back_from_a_file_with_gaps_empty(tmp_path):

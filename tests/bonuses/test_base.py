@@ -198,7 +198,7 @@ def test_what_is_not_finite_is_rejected_and_changes_nothing(bonus, field):
     broken = random_transition()
     getattr(broken, field)[3, 0] = float("nan")
     for method in (bonus.loss, bonus.observe):
-        if method == bonus.observe and bonus.pace.interval > 1:
+        if method == bonus.observe and bonus.every.interval > 1:
             bonus.observe(random_transition())  # so that the next call looks at its batch
             before = {name: value.clone() for name, value in bonus.state_dict().items()}
         with pytest.raises(ValueError, match=f"`{field}` must be finite"):
@@ -219,5 +219,5 @@ def test_a_batch_that_passes_would_have_left_no_trace(make):
             num_shown += 1
         state, other = bonus.state_dict(), asked.state_dict()
         torch.testing.assert_close(state, other, rtol=0, atol=0, equal_nan=True)
-    interval = bonus.pace.interval if hasattr(bonus, "pace") else 7
+    interval = bonus.every.interval if hasattr(bonus, "every") else 7
     assert num_shown == (0 if isinstance(bonus, ConstantBonus) else -(-7 // interval))

@@ -244,7 +244,7 @@ def test_pure_noise_earns_nothing_once_its_variance_is_learned():
         bonus.loss(Transition(*(field[rows] for field in world))).backward()
         optimizer.step()
     bonus.observe(world)
-    bonus.pace.interval = 1
+    bonus.every.interval = 1
     bonus.observe(world)
     observation = torch.zeros(50, 2)
     noise = bonus.nats(observation, torch.linspace(-0.9, 0.6, 50).unsqueeze(-1))

@@ -12,7 +12,7 @@ def test_the_blocks_run_as_written():
     assert type(names["model"]) is type(names["again"]) is PPO
     assert names["again"].num_timesteps == 256
     first, second = (names[name].rollout_buffer.bonus for name in ("model", "again"))
-    assert int(second.pace.num_calls) == 2 * int(first.pace.num_calls)
+    assert int(second.every.num_calls) == 2 * int(first.every.num_calls)
     assert names["SAC"] is SAC
 
 

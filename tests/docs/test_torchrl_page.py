@@ -18,7 +18,7 @@ def test_the_blocks_run_as_written():
     assert stored["next", "reward"].max() <= 0  # Pendulum-v1 only takes: no bonus is stored
     assert len(names["replay"]) == 120
     assert torch.isfinite(names["rollout"]["next", "curiosity"]).all()
-    assert int(names["learner"].pace.num_calls) > 0
+    assert int(names["learner"].every.num_calls) > 0
 
 
 def test_four_lines_are_told_and_a_fifth_for_a_value_of_its_own():

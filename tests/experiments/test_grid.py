@@ -9,7 +9,7 @@ from deep_curiosity.experiments.grid import (
     Task,
     markdown_table,
     median_and_range,
-    placed,
+    find_finished,
     run_once,
     run_study,
 )
@@ -63,13 +63,13 @@ def test_a_folder_with_a_run_of_other_settings_is_refused(tiny):
     run_once(replace(tiny, total_steps=30))
     with pytest.raises(FileExistsError, match="differs in batch_size, members; move it away"):
         run_once(replace(tiny, batch_size=16, members=3))
-    assert run_once(replace(tiny, total_steps=40))["total_steps"] == 40  # the same run, continued
+    assert run_once(replace(tiny, total_steps=40))["total_steps"] == 40  # the same run, merge_config
 
 
 def test_a_job_goes_where_a_run_of_its_settings_lies(tiny, tmp_path):
     there = replace(tiny, env_id="PointMaze", out=tmp_path / "runs" / "some dial")
     open_folder(replace(there, matmul_precision="high"))
     jobs = [replace(there, seed=seed, out=tmp_path / "runs" / f"{seed}") for seed in range(2)]
-    same, other = placed(jobs, tmp_path / "runs")
+    same, other = find_finished(jobs, tmp_path / "runs")
     assert same.out == there.out
     assert other == jobs[1]

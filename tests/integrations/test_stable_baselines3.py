@@ -170,7 +170,7 @@ def assert_equal(one: list[Tensor], other: list[Tensor]) -> None:
 def test_every_agent_learns_from_a_curious_buffer(kind: type) -> None:
     agent = make_agent(kind, options=SMALL)
     agent.learn(20, callback=CuriosityCallback())
-    assert int(agent.replay_buffer.companion.learner.pace.num_calls) == 10
+    assert int(agent.replay_buffer.attachment.learner.every.num_calls) == 10
     assert all(torch.isfinite(parameter).all() for parameter in parameters(agent))
 
 
@@ -390,13 +390,13 @@ def test_a_loaded_buffer_goes_on_bit_for_bit(tmp_path: Path) -> None:
     agent.save_replay_buffer(tmp_path / "buffer.pkl")
     other = make_agent(options=SMALL)
     other.load_replay_buffer(tmp_path / "buffer.pkl")
-    agent.replay_buffer.companion.actor = None  # the agent is not saved with the buffer
+    agent.replay_buffer.attachment.actor = None  # the agent is not saved with the buffer
     drawn = []
     for buffer in (agent.replay_buffer, other.replay_buffer):
         set_random_seed(1)
         drawn.append([buffer.sample(16).rewards for _ in range(5)])
     assert_equal(*drawn)
-    states = [b.companion.learner.state_dict() for b in (agent.replay_buffer, other.replay_buffer)]
+    states = [b.attachment.learner.state_dict() for b in (agent.replay_buffer, other.replay_buffer)]
     assert states[0].keys() == states[1].keys()
     assert_equal(*(list(state.values()) for state in states))
 
@@ -404,8 +404,8 @@ def test_a_loaded_buffer_goes_on_bit_for_bit(tmp_path: Path) -> None:
 def test_the_agent_is_not_pickled_with_its_buffer() -> None:
     agent = make_agent(options=SMALL).learn(12, callback=CuriosityCallback())
     buffer = pickle.loads(pickle.dumps(agent.replay_buffer))
-    assert agent.replay_buffer.companion.actor is not None
-    assert buffer.companion.actor is None
+    assert agent.replay_buffer.attachment.actor is not None
+    assert buffer.attachment.actor is None
 
 
 def test_a_saved_agent_is_made_again_with_its_buffer_class_and_options(tmp_path: Path) -> None:
@@ -419,9 +419,9 @@ def test_a_saved_agent_is_made_again_with_its_buffer_class_and_options(tmp_path:
 
 
 def test_the_bonus_follows_the_device_of_the_buffer() -> None:
-    companion = filled(options=SMALL).replay_buffer.companion
-    companion.to(torch.device("meta"))
-    tensors = [*companion.learner.parameters(), *companion.learner.buffers()]
+    attachment = filled(options=SMALL).replay_buffer.attachment
+    attachment.to(torch.device("meta"))
+    tensors = [*attachment.learner.parameters(), *attachment.learner.buffers()]
     assert {tensor.device.type for tensor in tensors} == {"meta"}
 
 
@@ -561,7 +561,7 @@ def test_a_saved_rollout_buffer_brings_its_bonus(tmp_path: Path) -> None:
     agent.save(tmp_path / "agent"), save_to_pkl(tmp_path / "buffer", agent.rollout_buffer)
     loaded = PPO.load(tmp_path / "agent", env=Clock())
     loaded.rollout_buffer = load_from_pkl(tmp_path / "buffer")
-    states = [a.rollout_buffer.companion.learner.state_dict() for a in (agent, loaded)]
+    states = [a.rollout_buffer.attachment.learner.state_dict() for a in (agent, loaded)]
     assert_equal(*(list(state.values()) for state in states))
     loaded.learn(20, callback=CuriosityCallback())
 

@@ -278,7 +278,7 @@ def test_buffer_state_holds_the_learner():
     first.sample()
     second.load_state_dict(first.state_dict())
     assert_same_state(*(learner.state_dict() for learner in learners))
-    assert learners[1].pace._num_calls == 1
+    assert learners[1].every._num_calls == 1
 
 
 # The transform in an environment
@@ -586,7 +586,7 @@ def test_actor_critic_runs_in_a_trainer_with_the_transform():
     run_trainer(loss, replay, loss.actor_network)
     after = loss.curiosity_network_params.parameters()
     assert all(not torch.equal(old, new) for old, new in zip(before, after, strict=True))
-    assert learner.pace._num_calls == 4
+    assert learner.every._num_calls == 4
 
 
 # Collectors

@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import nn
 
-from deep_curiosity.nn.mlp import StackedLinear, StackedMLP, frozen, in_order, rows_in_turn
+from deep_curiosity.nn.mlp import StackedLinear, StackedMLP, frozen, restore_order, assign_rows
 
 
 def member_as_sequential(network, member):
@@ -59,10 +59,10 @@ def test_gradients_reach_every_parameter():
 
 @pytest.mark.parametrize("num_rows", [1, 2, 6, 7])
 def test_rows_in_turn_are_each_for_one_member(num_rows):
-    row, once = rows_in_turn(num_rows, 3, torch.device("cpu"))
+    row, once = assign_rows(num_rows, 3, torch.device("cpu"))
     assert sorted(row[once].tolist()) == list(range(num_rows))
     assert all((row[member, once[member]] % 3 == member).all() for member in range(3))
-    assert in_order(row, num_rows).tolist() == list(range(num_rows))
+    assert restore_order(row, num_rows).tolist() == list(range(num_rows))
 
 
 def test_a_frozen_module_passes_gradients_but_keeps_none():

@@ -10,7 +10,7 @@ pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="needs a C++ com
 LEARN_TWICE = """
 from copy import deepcopy
 import torch
-from deep_curiosity import CuriosityBonus, CuriousActorCritic
+from deep_curiosity import CuriosityBonus, CuriousSAC
 from deep_curiosity.speed.compile import compiled
 from deep_curiosity.nn.adam import Adam
 from deep_curiosity.speed.machine import choose_matmul_precision
@@ -19,7 +19,7 @@ from deep_curiosity.transitions import Transition
 torch.set_num_threads(1)
 torch.set_float32_matmul_precision(choose_matmul_precision("auto", DEVICE))
 torch.manual_seed(0)
-agent = CuriousActorCritic(3, 2, hidden_dims=(32, 32), prior="learned", policy_modes=2, **OPTIONS)
+agent = CuriousSAC(3, 2, hidden_dims=(32, 32), prior="learned", policy_modes=2, **OPTIONS)
 bonus = CuriosityBonus(3, 2, hidden_dims=(32, 32), members=2, outcomes=2, components=64, **BONUS)
 agent.to(DEVICE), bonus.to(DEVICE)
 flags = torch.rand(64) < 0.1
@@ -42,7 +42,7 @@ def learn(agent, bonus, compile):
     torch.manual_seed(1)
     for number, fields in enumerate(batches):
         transition = Transition(*fields)
-        unwatched = number < 10 or not compile or bonus.pace.is_due  # a renewal looks at values
+        unwatched = number < 10 or not compile or bonus.every.is_due  # a renewal looks at values
         if DEVICE == "cuda":
             torch.cuda.set_sync_debug_mode("default" if unwatched else "error")
         fit(transition)

@@ -66,7 +66,7 @@ def test_all_that_is_returned_is_returned_apart():
     assert one.data_ptr() != other.data_ptr()
 
 
-class Asked(nn.Module):
+class BonusFunction(nn.Module):
     """A bonus that is asked, and then learns, as in the update of a curious agent."""
 
     def __init__(self, **options):
@@ -80,7 +80,7 @@ class Asked(nn.Module):
 
 @pytest.mark.parametrize("member_per_row", [False, True])
 def test_the_models_are_asked_by_the_pass_that_they_learn_from(monkeypatch, member_per_row):
-    asked, flags = Asked(member_per_row=member_per_row), torch.zeros(7, dtype=torch.bool)
+    asked, flags = BonusFunction(member_per_row=member_per_row), torch.zeros(7, dtype=torch.bool)
     transition = Transition(
         torch.randn(7, 3), torch.rand(7, 2), torch.zeros(7), torch.randn(7, 3), flags, flags
     )

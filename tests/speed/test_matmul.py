@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from deep_curiosity import products
-from deep_curiosity.speed.matmul import INSTRUCTIONS, direct_products
+from deep_curiosity.speed.matmul import INSTRUCTIONS, direct_matmul
 from tests.test_compilation import output_of
 
 pytestmark = pytest.mark.skipif(
@@ -28,7 +28,7 @@ NOT_FLOAT32 = '"float64": (matrices(2, 5, 7).double(), matrices(2, 7, 4).double(
 COMPARE = """
 import torch
 from torch._inductor.utils import run_and_get_code
-from deep_curiosity.speed.matmul import direct_products
+from deep_curiosity.speed.matmul import direct_matmul
 
 torch.set_num_threads(1)
 torch.manual_seed(0)
@@ -38,7 +38,7 @@ operands = {OPERANDS}
 def products(pairs):
     return [left @ right for left, right in pairs]
 
-options = {"cpp_wrapper": True, **direct_products()}
+options = {"cpp_wrapper": True, **direct_matmul()}
 compiled = torch.compile(products, dynamic=False, options=options)
 results, (code,) = run_and_get_code(compiled, list(operands.values()))
 for name in ("aoti_torch_cpu_bmm_out", "aoti_torch_cpu_mm_out"):
@@ -71,12 +71,12 @@ def test_products_are_those_of_the_matrices_however_they_lie_in_memory():
 
 @pytest.mark.usefixtures("on_one_thread")
 def test_threads_that_could_share_a_product_leave_it_to_torch():
-    assert direct_products()
+    assert direct_matmul()
     torch.set_num_threads(2)
-    assert not direct_products()
+    assert not direct_matmul()
 
 
 @pytest.mark.usefixtures("on_one_thread")
 def test_less_than_float32_is_left_to_torch(monkeypatch):
     monkeypatch.setattr(products, "matmul_is_float32", lambda: False)
-    assert not direct_products()
+    assert not direct_matmul()

@@ -10,7 +10,7 @@ from deep_curiosity.training.collector import VectorCollector
 from deep_curiosity.training.environments import make_environment, make_vector_environment
 from deep_curiosity.integrations.trainer import LearnerIntegration
 from deep_curiosity.training.learner import make_run_bonus
-from deep_curiosity.training.frame_stack import HistoryWindow, VectorHistoryWindow
+from deep_curiosity.training.frame_stack import FrameStack, VectorFrameStack
 
 
 class Counter(gymnasium.Env):
@@ -40,7 +40,7 @@ def act(*values):
 
 
 def test_windows_of_two_episodes():
-    env = HistoryWindow(Counter(), 3)
+    env = FrameStack(Counter(), 3)
     for seed in (7, 8):
         first, _ = env.reset(seed=seed)
         assert first.tolist() == [seed, 0, 0, seed, 0, 0, seed, 0]
@@ -54,7 +54,7 @@ def test_windows_of_two_episodes():
 
 
 def test_only_worlds_that_are_told_to_begin_anew():
-    worlds = VectorHistoryWindow(counters(3), 2)
+    worlds = VectorFrameStack(counters(3), 2)
     worlds.reset(seed=[1, 2, 3])
     for action in (0.25, 0.5, 0.75):
         window = worlds.step(np.full((3, 1), action, np.float32))[0]
@@ -65,15 +65,15 @@ def test_only_worlds_that_are_told_to_begin_anew():
 
 
 def test_without_a_past_a_window_is_the_observation():
-    env = HistoryWindow(Counter(), 1)
+    env = FrameStack(Counter(), 1)
     assert env.reset(seed=4)[0].tolist() == [4, 0]
     assert env.step(act(0.5))[0].tolist() == [4, 1]
     assert env.observation_space == Counter.observation_space
 
 
 def test_what_was_returned_stays_as_it_was():
-    for env, action in ((HistoryWindow(Counter(), 2), act(0.5)), (counters(2), act(0.5, 0.5))):
-        env = env if isinstance(env, HistoryWindow) else VectorHistoryWindow(env, 2)
+    for env, action in ((FrameStack(Counter(), 2), act(0.5)), (counters(2), act(0.5, 0.5))):
+        env = env if isinstance(env, FrameStack) else VectorFrameStack(env, 2)
         returned = [env.reset(seed=0)[0], env.step(action.reshape(env.action_space.shape))[0]]
         before = [window.copy() for window in returned]
         env.step(-action.reshape(env.action_space.shape))
@@ -125,7 +125,7 @@ def test_the_space_keeps_the_precision_of_the_observation():
 
 def test_a_history_without_an_observation_is_rejected():
     with pytest.raises(ValueError, match="`history` must be at least 1, got 0"):
-        HistoryWindow(Counter(), 0)
+        FrameStack(Counter(), 0)
     with pytest.raises(ValueError, match="`history` must be at least 1, got 0"):
         make_vector_environment("PointMaze", num_envs=2, history=0)
 
@@ -133,7 +133,7 @@ def test_a_history_without_an_observation_is_rejected():
 @pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP])
 def test_worlds_that_reset_by_themselves_are_rejected(mode):
     with pytest.raises(ValueError, match="`env` must have its autoreset disabled, got"):
-        VectorHistoryWindow(counters(2, mode), 2)
+        VectorFrameStack(counters(2, mode), 2)
 
 
 def test_the_check_looks_through_the_same_window(tiny):

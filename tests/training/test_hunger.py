@@ -8,7 +8,7 @@ import torch
 from deep_curiosity.training import Settings, train
 from deep_curiosity.training.checkpoint import load_checkpoint
 from deep_curiosity.training.environments import make_environment
-from deep_curiosity.training.hunger import Bandit, Drawn, Scheduled, Sensed, make_keeper
+from deep_curiosity.training.hunger import BanditHunger, RandomHunger, ScheduledHunger, FunctionHunger, make_hunger_controller
 from deep_curiosity.training.learner import Learner
 from deep_curiosity.training.playback import load_policy
 from deep_curiosity.training.log import read_progress
@@ -23,20 +23,20 @@ def arms_held(bandit, reward_of, num_steps):
     for step in range(num_steps):
         (hunger,) = bandit.hunger(step, NOTHING, {})
         held.append(hunger)
-        bandit.saw(np.array([reward_of(hunger)]), GOES_ON)
+        bandit.record(np.array([reward_of(hunger)]), GOES_ON)
     return np.array(held)
 
 
 def test_a_bandit_goes_where_reward_is():
     torch.manual_seed(0)
-    held = arms_held(Bandit(segment=10), lambda hunger: hunger, 1_000)
+    held = arms_held(BanditHunger(segment=10), lambda hunger: hunger, 1_000)
     assert set(held[:30]) == {0.0, 0.5, 1.0}
     assert (held[500:] == 1.0).mean() > 0.6
 
 
 def test_a_bandit_follows_reward_to_another_arm():
     torch.manual_seed(0)
-    bandit = Bandit(segment=10)
+    bandit = BanditHunger(segment=10)
     arms_held(bandit, lambda hunger: hunger, 500)
     held = arms_held(bandit, lambda hunger: 1 - hunger, 1_000)
     assert (held[500:] == 0.0).mean() > 0.6
@@ -44,16 +44,16 @@ def test_a_bandit_follows_reward_to_another_arm():
 
 def test_a_bandit_that_earns_nothing_lets_all_arms_take_turns():
     torch.manual_seed(0)
-    held = arms_held(Bandit(segment=10), lambda hunger: 0.0, 900)
+    held = arms_held(BanditHunger(segment=10), lambda hunger: 0.0, 900)
     shares = [(held == arm).mean() for arm in (0.0, 0.5, 1.0)]
     assert shares == pytest.approx([1 / 3] * 3, abs=0.05)
 
 
 def test_a_restored_bandit_goes_on_as_if_it_had_not_stopped():
     torch.manual_seed(0)
-    bandit = Bandit(segment=7)
+    bandit = BanditHunger(segment=7)
     arms_held(bandit, lambda hunger: hunger, 100)
-    restored = Bandit(segment=7)
+    restored = BanditHunger(segment=7)
     restored.load_state_dict(bandit.state_dict())
     courses = []
     for each in (bandit, restored):
@@ -64,12 +64,12 @@ def test_a_restored_bandit_goes_on_as_if_it_had_not_stopped():
 
 def test_draws_are_held_for_an_episode_in_each_world():
     torch.manual_seed(0)
-    drawn = Drawn(num_envs=2, hungers=(0.0, 0.25, 0.5, 0.75, 1.0))
+    drawn = RandomHunger(num_envs=2, hungers=(0.0, 0.25, 0.5, 0.75, 1.0))
     courses = []
     for _ in range(60):
         courses.append(drawn.hunger(0, np.zeros((2, 3)), {}).copy())
         for step in range(5):
-            drawn.saw(np.zeros(2), np.array([step == 4, False]))
+            drawn.record(np.zeros(2), np.array([step == 4, False]))
     courses = np.array(courses)
     assert set(courses[:, 0]) == {0.0, 0.25, 0.5, 0.75, 1.0}
     assert len(set(courses[:, 1])) == 1
@@ -79,20 +79,20 @@ def test_an_empty_battery_makes_hungry_in_training_and_evaluation():
     charge = np.array([1.0, 0.75, 0.5, 0.0])
     observation, info = np.stack((np.full(4, 5.0), charge), axis=1), {"charge": charge}
     for entry in (-1, 1, "charge"):
-        keeper = make_keeper(Settings(hunger_control="battery", battery=entry), 2)
-        assert keeper.hunger(0, observation, info).tolist() == [0.0, 0.5, 1.0, 1.0]
-        assert keeper.in_evaluation(observation, info).tolist() == [0.0, 0.5, 1.0, 1.0]
+        hunger_controller = make_hunger_controller(Settings(hunger_control="battery", battery=entry), 2)
+        assert hunger_controller.hunger(0, observation, info).tolist() == [0.0, 0.5, 1.0, 1.0]
+        assert hunger_controller.in_evaluation(observation, info).tolist() == [0.0, 0.5, 1.0, 1.0]
 
 
 def test_a_battery_must_be_in_the_observation():
     with pytest.raises(ValueError, match="`battery` must be an entry of an observation of 3, got"):
-        make_keeper(Settings(hunger_control="battery", battery=3), observation_dim=3)
+        make_hunger_controller(Settings(hunger_control="battery", battery=3), observation_dim=3)
 
 
 def test_a_battery_must_be_in_the_info():
-    keeper = make_keeper(Settings(hunger_control="battery", battery="fuel"), observation_dim=3)
+    hunger_controller = make_hunger_controller(Settings(hunger_control="battery", battery="fuel"), observation_dim=3)
     with pytest.raises(ValueError, match=r"`battery` .* \['energy'\], got 'fuel'"):
-        keeper.hunger(0, NOTHING, {"energy": 1.0})
+        hunger_controller.hunger(0, NOTHING, {"energy": 1.0})
 
 
 @pytest.mark.parametrize("control", ["constant", "dial"])
@@ -138,7 +138,7 @@ def test_hunger_is_said_by_one_alone(tiny):
 
 
 def test_what_is_sensed_is_not_bounded_without_a_dial():
-    sensed = Sensed(lambda observation, info: 7.0, math.inf)
+    sensed = FunctionHunger(lambda observation, info: 7.0, math.inf)
     assert sensed.hunger(0, NOTHING, {}).tolist() == [7.0]
 
 
@@ -147,10 +147,10 @@ def test_a_schedule_goes_from_hunger_to_final_hunger(control):
     settings = Settings(
         hunger_control=control, hunger=0.5, final_hunger=8.0, total_steps=100, num_envs=2
     )
-    keeper = make_keeper(settings, 3)
-    assert isinstance(keeper, Scheduled)
-    assert keeper.hunger(0, np.zeros((2, 3)), {}).tolist() == [0.5, 0.5]
-    assert keeper.hunger(100, np.zeros((2, 3)), {}) == pytest.approx(8.0)
+    hunger_controller = make_hunger_controller(settings, 3)
+    assert isinstance(hunger_controller, ScheduledHunger)
+    assert hunger_controller.hunger(0, np.zeros((2, 3)), {}).tolist() == [0.5, 0.5]
+    assert hunger_controller.hunger(100, np.zeros((2, 3)), {}) == pytest.approx(8.0)
 
 
 def test_what_goes_with_time_is_set_before_a_step(tiny):
@@ -213,7 +213,7 @@ def test_a_resumed_run_goes_on_with_its_keeper(tiny, tmp_path, control):
     train(replace(halves, total_steps=30), show_progress=False)
     train(Settings(resume=halves.out, total_steps=60), show_progress=False)
     whole, resumed = (load_checkpoint(run.out)["learner"] for run in (dialled, halves))
-    assert whole["keeper"] == resumed["keeper"] != {}
+    assert whole["hunger_controller"] == resumed["hunger_controller"] != {}
     assert torch.equal(whole["replay"]["rows"], resumed["replay"]["rows"])
 
 

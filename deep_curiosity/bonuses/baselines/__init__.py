@@ -2,17 +2,17 @@
 
 from deep_curiosity.bonuses.baselines.constant import ConstantBonus
 from deep_curiosity.bonuses.baselines.disagreement import DisagreementBonus, InformationGainBonus
-from deep_curiosity.bonuses.baselines.rnd import DistillationBonus
+from deep_curiosity.bonuses.baselines.rnd import RNDBonus
 from deep_curiosity.bonuses.baselines.hash_count import HashCountBonus
 from deep_curiosity.bonuses.baselines.knn import NearestNeighboursBonus
-from deep_curiosity.bonuses.baselines.icm import PredictionErrorBonus
+from deep_curiosity.bonuses.baselines.icm import ICMBonus
 
 __all__ = [
     "ConstantBonus",
     "DisagreementBonus",
-    "DistillationBonus",
+    "RNDBonus",
     "HashCountBonus",
     "InformationGainBonus",
     "NearestNeighboursBonus",
-    "PredictionErrorBonus",
+    "ICMBonus",
 ]

@@ -8,11 +8,11 @@ from torch import Tensor
 
 from deep_curiosity.bonuses.base import Bonus, Policy
 from deep_curiosity.nn.normalization import RunningMoments, Standardization
-from deep_curiosity.nn.every import Pace
+from deep_curiosity.nn.every import Every
 from deep_curiosity.transitions import Transition, check_batch, check_counts, check_transition
 
 
-class RivalBonus(Bonus):
+class BaselineBonus(Bonus):
     """A score of pairs, or of their outcomes, in units of its own, then standardised.
 
     Args:
@@ -47,7 +47,7 @@ class RivalBonus(Bonus):
         self.action_dim = action_dim
         self.standardization = Standardization(weight=weight, center=center, scale=scale)
         self.observation_moments = RunningMoments(observation_dim)
-        self.pace = Pace(refresh_interval)
+        self.every = Every(refresh_interval)
 
     def forward(
         self,
@@ -94,14 +94,14 @@ class RivalBonus(Bonus):
             return
         self._check(transition)
         self.observation_moments.update(transition.observation)
-        self.remember(transition, policy)
+        self.update_statistics(transition, policy)
         observation, action, _, next_observation, *_ = transition
         self.standardization.update(self.score(observation, action, next_observation))
-        self.pace.count()
+        self.every.count()
 
     def passes(self) -> bool:
         """Whether the next batch would only be counted, and then count it."""
-        return self.pace.passes()
+        return self.every.passes()
 
     def metrics(self) -> dict[str, Tensor]:
         """Running mean and standard deviation of the score, in its own unit."""
@@ -121,7 +121,7 @@ class RivalBonus(Bonus):
         """Loss of the networks; zero where there are none."""
         return transition.reward.new_zeros((), requires_grad=True)
 
-    def remember(self, transition: Transition, policy: Policy | None) -> None:
+    def update_statistics(self, transition: Transition, policy: Policy | None) -> None:
         """Whatever else is kept of a batch; nothing by default."""
 
     def pair_features(self, observation: Tensor, action: Tensor) -> Tensor:

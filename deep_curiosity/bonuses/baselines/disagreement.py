@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from deep_curiosity.bonuses.base import Policy
 from deep_curiosity.nn.mlp import StackedMLP, frozen
 from deep_curiosity.nn.normalization import RunningMoments
-from deep_curiosity.bonuses.baselines.base import RivalBonus
+from deep_curiosity.bonuses.baselines.base import BaselineBonus
 from deep_curiosity.transitions import Transition
 from deep_curiosity.bonuses.weight_tuning import TunedWeight
 
@@ -55,7 +55,7 @@ class PointEnsemble(nn.Module):
         return error.square().mean((1, 2)).sum()
 
 
-class DisagreementBonus(RivalBonus):
+class DisagreementBonus(BaselineBonus):
     r"""Variance of an ensemble's predictions of the next state.
 
     .. math:: \frac{1}{d} \sum_i Var_e[\hat x'_{e,i}(x, a)]
@@ -113,12 +113,12 @@ class DisagreementBonus(RivalBonus):
         features = self.pair_features(transition.observation, transition.action)
         return self.ensemble.loss(features, _change(transition))
 
-    def remember(self, transition: Transition, policy: Policy | None) -> None:
+    def update_statistics(self, transition: Transition, policy: Policy | None) -> None:
         """Statistics of the changes."""
         self.ensemble.outcome_moments.update(_change(transition))
 
 
-class InformationGainBonus(RivalBonus):
+class InformationGainBonus(BaselineBonus):
     r"""Upper bound of what an outcome would tell of the model, in nats a dimension.
 
     .. math:: \frac{1}{d + 1} \sum_i \log(1 + Var_e[\hat y_{e,i}(x, a)] / \sigma^2)
@@ -203,14 +203,14 @@ class InformationGainBonus(RivalBonus):
         features = self.pair_features(transition.observation, transition.action)
         return self.ensemble.loss(features, _change_and_reward(transition))
 
-    def remember(self, transition: Transition, policy: Policy | None) -> None:
+    def update_statistics(self, transition: Transition, policy: Policy | None) -> None:
         """Statistics of the outcomes; and the step of the weight, where a policy is given."""
         self.ensemble.outcome_moments.update(_change_and_reward(transition))
         if policy is None or not self.tune_weight:
             return
         action = policy(transition.observation)
         gain = self.standardization(self.score(transition.observation, action, None)).mean()
-        self.tuned_weight.follow(gain, self.pace.interval)
+        self.tuned_weight.follow(gain, self.every.interval)
 
     def metrics(self) -> dict[str, Tensor]:
         """Statistics of the gain, in nats a dimension, and the weight as it now stands."""

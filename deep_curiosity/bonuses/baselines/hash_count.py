@@ -5,13 +5,13 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from deep_curiosity.bonuses.base import Policy
-from deep_curiosity.bonuses.baselines.base import RivalBonus
+from deep_curiosity.bonuses.baselines.base import BaselineBonus
 from deep_curiosity.transitions import Transition, check_counts
 
 TABLE_SIZES = (131_011, 131_023, 131_041)  # primes: codes that share a slot in one part in others
 
 
-class HashCountBonus(RivalBonus):
+class HashCountBonus(BaselineBonus):
     r"""One over the root of how often a state like the next one has been seen.
 
     .. math:: 1 / \sqrt{n(\phi(x'))}, \quad \phi(x) = sign(A g(x))
@@ -84,7 +84,7 @@ class HashCountBonus(RivalBonus):
         count = self.counts.gather(1, slot).amin(0)
         return count.clamp(min=1).rsqrt()
 
-    def remember(self, transition: Transition, policy: Policy | None) -> None:
+    def update_statistics(self, transition: Transition, policy: Policy | None) -> None:
         """Count the batch's next states; the first batch fixes the code."""
         moments = self.observation_moments
         self.code_loc.copy_(torch.where(self.is_fixed, self.code_loc, moments.mean))

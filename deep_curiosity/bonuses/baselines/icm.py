@@ -7,14 +7,14 @@ import torch
 from torch import Tensor, nn
 
 from deep_curiosity.nn.mlp import StackedMLP, frozen
-from deep_curiosity.bonuses.baselines.base import RivalBonus
+from deep_curiosity.bonuses.baselines.base import BaselineBonus
 from deep_curiosity.transitions import Transition, check_counts
 
 Features = Literal["inverse", "state"]
 FORWARD_SHARE = 0.2  # of the forward model in the loss, the paper's beta
 
 
-class PredictionErrorBonus(RivalBonus):
+class ICMBonus(BaselineBonus):
     r"""How wrong a forward model was about the next state: the intrinsic curiosity module.
 
     .. math:: \frac{1}{2} \| \hat\phi(x, a) - \phi(x') \|^2

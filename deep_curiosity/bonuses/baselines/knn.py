@@ -4,11 +4,11 @@ import torch
 from torch import Tensor
 
 from deep_curiosity.bonuses.base import Policy
-from deep_curiosity.bonuses.baselines.base import RivalBonus
+from deep_curiosity.bonuses.baselines.base import BaselineBonus
 from deep_curiosity.transitions import Transition, check_counts
 
 
-class NearestNeighboursBonus(RivalBonus):
+class NearestNeighboursBonus(BaselineBonus):
     r"""Log distance of the next state to its nearest neighbours among those remembered.
 
     .. math:: \log(1 + \frac{1}{k} \sum_{j \in N_k(x')} \| x' - x_j \|)
@@ -81,7 +81,7 @@ class NearestNeighboursBonus(RivalBonus):
         total = nearest.values.masked_fill(~known, 0.0).sum(-1)
         return torch.log1p(total / known.sum(-1).clamp(min=1))
 
-    def remember(self, transition: Transition, policy: Policy | None) -> None:
+    def update_statistics(self, transition: Transition, policy: Policy | None) -> None:
         """Write the batch's next states over the oldest."""
         memory = self.states.shape[0]
         newest = transition.next_observation[-memory:]

@@ -6,13 +6,13 @@ from typing import ClassVar
 from torch import Tensor
 
 from deep_curiosity.nn.mlp import StackedMLP, frozen
-from deep_curiosity.bonuses.baselines.base import RivalBonus
+from deep_curiosity.bonuses.baselines.base import BaselineBonus
 from deep_curiosity.transitions import Transition, check_counts
 
 OBSERVATION_BOUND = 5.0  # standard deviations at which the paper cuts observations
 
 
-class DistillationBonus(RivalBonus):
+class RNDBonus(BaselineBonus):
     r"""Error of a network that learns a random one, at the next state.
 
     .. math:: \frac{1}{k} \| \hat f(x') - f(x') \|^2

@@ -49,7 +49,7 @@ class CuriosityCallback(BaseCallback):
             self._observation = self._raw(self.model._last_obs)
         else:
             self._check_discount(buffer)
-            buffer.companion.actor = self._act
+            buffer.attachment.actor = self._act
 
     def _on_step(self) -> bool:
         buffer = self._buffer
@@ -60,7 +60,7 @@ class CuriosityCallback(BaseCallback):
     def _on_rollout_end(self) -> None:
         if self.num_timesteps >= self._next_record and self._has_learned:
             self._next_record = self.num_timesteps + self.log_interval
-            for name, value in self._buffer.companion.metrics().items():
+            for name, value in self._buffer.attachment.metrics().items():
                 self.logger.record(f"curiosity/{name}", value)
 
     @property
@@ -77,7 +77,7 @@ class CuriosityCallback(BaseCallback):
 
     @property
     def _has_learned(self) -> bool:
-        return int(self._buffer.companion.learner.pace.num_calls) > 0
+        return int(self._buffer.attachment.learner.every.num_calls) > 0
 
     def _check_discount(self, buffer: CuriousReplayBuffer) -> None:
         discount = self.model.gamma  # type: ignore[attr-defined]
@@ -98,7 +98,7 @@ class CuriosityCallback(BaseCallback):
     def _record_step(self, buffer: CuriousRolloutBuffer) -> None:
         following = self._raw(self.locals["new_obs"])
         infos, done = self.locals["infos"], self.locals["dones"]
-        see = buffer.companion.see
+        see = buffer.attachment.see
         successor = np.array(see(following))
         for index in np.flatnonzero(done):  # the environment was reset: `following` is a start
             successor[index] = see(self._unnormalized(infos[index]["terminal_observation"]))

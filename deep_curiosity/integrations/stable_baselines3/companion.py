@@ -18,7 +18,7 @@ Actor = Callable[[PyTorchObs], Tensor]
 """Draws actions in [-1, 1] for observations as the agent's own networks take them."""
 
 
-class Companion:
+class BonusAttachment:
     """A bonus with its learner, on the buffer's device; pickled with the buffer.
 
     Args:
@@ -61,7 +61,7 @@ class Companion:
         self.actor = None
         self.newest = torch.zeros(())
 
-    def to(self, device: torch.device) -> "Companion":
+    def to(self, device: torch.device) -> "BonusAttachment":
         """The same, on the device where the buffer now hands out its samples."""
         if device != self.device:
             self.learner.to(device)

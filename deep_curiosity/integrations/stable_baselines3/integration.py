@@ -17,7 +17,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor
 
 from deep_curiosity.integrations.stable_baselines3.callback import CuriosityCallback
-from deep_curiosity.integrations.stable_baselines3.companion import Companion
+from deep_curiosity.integrations.stable_baselines3.attachment import BonusAttachment
 from deep_curiosity.integrations.stable_baselines3.recording import postponed, recorded
 from deep_curiosity.integrations.stable_baselines3.replay import CuriousReplayBuffer
 from deep_curiosity.integrations.stable_baselines3.rollout import CuriousRolloutBuffer
@@ -68,9 +68,9 @@ class _Integration(Integration, Generic[Agent]):
         raise NotImplementedError
 
     @property
-    def _companion(self) -> Companion:
-        companion: Companion = self._buffer.companion
-        return companion
+    def _companion(self) -> BonusAttachment:
+        attachment: BonusAttachment = self._buffer.attachment
+        return attachment
 
     def _act(self, env: VecEnv, callback: Any, num_steps: int) -> None:
         raise NotImplementedError

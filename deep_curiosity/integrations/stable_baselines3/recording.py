@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
-from deep_curiosity.integrations.stable_baselines3.companion import Companion
+from deep_curiosity.integrations.stable_baselines3.attachment import BonusAttachment
 from deep_curiosity.integrations.stable_baselines3.spaces import batch_of, mask_of, scaled
 from deep_curiosity.transitions import Transition
 
 
 @contextmanager
-def recorded(env: VecEnv, companion: Companion) -> Iterator[list[Transition]]:
+def recorded(env: VecEnv, attachment: BonusAttachment) -> Iterator[list[Transition]]:
     """Record each step of a vector environment where it is taken, below all wrappers."""
     steps: list[Transition] = []
     latest: dict[str, Any] = {}
@@ -30,7 +30,7 @@ def recorded(env: VecEnv, companion: Companion) -> Iterator[list[Transition]]:
     def step_and_record() -> Any:
         following, reward, done, infos = step_wait()
         step = latest["observation"], latest["action"], reward, following, done, infos
-        steps.append(_ground_truth(companion, *step))
+        steps.append(_ground_truth(attachment, *step))
         latest["observation"] = following
         return following, reward, done, infos
 
@@ -44,7 +44,7 @@ def recorded(env: VecEnv, companion: Companion) -> Iterator[list[Transition]]:
 
 
 def _ground_truth(
-    companion: Companion,
+    attachment: BonusAttachment,
     observation: Any,
     action: np.ndarray,
     reward: np.ndarray,
@@ -53,13 +53,13 @@ def _ground_truth(
     infos: list[dict[str, Any]],
 ) -> Transition:
     """A step of all environments, copied before any wrapper can change it."""
-    successor = np.array(companion.see(following))
+    successor = np.array(attachment.see(following))
     for index in np.flatnonzero(done):
-        successor[index] = companion.see(infos[index]["terminal_observation"])
+        successor[index] = attachment.see(infos[index]["terminal_observation"])
     timeout = np.array([info["TimeLimit.truncated"] for info in infos])
     return Transition(
-        observation=batch_of(companion.see(observation)),
-        action=batch_of(scaled(action, companion.action_space)),
+        observation=batch_of(attachment.see(observation)),
+        action=batch_of(scaled(action, attachment.action_space)),
         reward=batch_of(reward),
         next_observation=batch_of(successor),
         terminated=mask_of(done & ~timeout),

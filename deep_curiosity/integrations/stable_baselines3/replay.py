@@ -11,7 +11,7 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples, Repla
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import Tensor
 
-from deep_curiosity.integrations.stable_baselines3.companion import Companion
+from deep_curiosity.integrations.stable_baselines3.attachment import BonusAttachment
 from deep_curiosity.integrations.stable_baselines3.spaces import batch_of, mask_of
 from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.transitions import Transition
@@ -68,7 +68,7 @@ class CuriousReplayBuffer(ReplayBuffer):
                 "`optimize_memory_usage` must be False, got True: it overwrites the successor of "
                 "the last step of an episode, from which the bonus would learn."
             )
-        self.companion = Companion(
+        self.attachment = BonusAttachment(
             observation_space,
             action_space,
             bonus=bonus,
@@ -84,7 +84,7 @@ class CuriousReplayBuffer(ReplayBuffer):
     @property
     def bonus(self) -> Bonus:
         """The bonus in use."""
-        return self.companion.learner.bonus
+        return self.attachment.learner.bonus
 
     def transition(self, rows: np.ndarray, columns: np.ndarray) -> Transition:
         """Stored steps as the environment gave them, with actions in [-1, 1].
@@ -95,7 +95,7 @@ class CuriousReplayBuffer(ReplayBuffer):
         """
         done = mask_of(self.dones[rows, columns], self.device)
         timeout = mask_of(self.timeouts[rows, columns], self.device)
-        see = self.companion.see
+        see = self.attachment.see
         return Transition(
             observation=batch_of(see(self.observations)[rows, columns], self.device),
             action=batch_of(self.actions[rows, columns], self.device),
@@ -115,13 +115,13 @@ class CuriousReplayBuffer(ReplayBuffer):
         # the first draw inside, which says from which environment each row comes, once more
         columns = np.random.randint(0, self.n_envs, size=len(batch_inds))  # noqa: NPY002
         transition = self.transition(batch_inds, columns)
-        self.companion.to(self.device).learn(transition, samples.observations)
+        self.attachment.to(self.device).learn(transition, samples.observations)
         bonus = self._ask(transition, batch_inds, columns)
         return samples._replace(rewards=samples.rewards + bonus.unsqueeze(-1))
 
     def _ask(self, transition: Transition, rows: np.ndarray, columns: np.ndarray) -> Tensor:
         """What is added to the rewards of a batch, which the bonus has just seen."""
-        return self.companion.ask(transition)
+        return self.attachment.ask(transition)
 
 
 class CuriousNStepReplayBuffer(CuriousReplayBuffer, NStepReplayBuffer):  # type: ignore[misc]
@@ -140,7 +140,7 @@ class CuriousNStepReplayBuffer(CuriousReplayBuffer, NStepReplayBuffer):  # type:
         summed = self._before_the_end(steps, columns)
         bonus = torch.zeros(steps.shape, device=self.device)
         asked = self.transition(steps[summed], columns[summed])
-        bonus[mask_of(summed, self.device)] = self.companion.ask(asked)
+        bonus[mask_of(summed, self.device)] = self.attachment.ask(asked)
         return bonus @ self.gamma ** torch.arange(self.n_steps, device=self.device)
 
     def _before_the_end(self, steps: np.ndarray, columns: np.ndarray) -> np.ndarray:

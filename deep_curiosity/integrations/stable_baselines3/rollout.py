@@ -9,7 +9,7 @@ from gymnasium import spaces
 from stable_baselines3.common.buffers import DictRolloutBuffer, RolloutBuffer
 from torch import Tensor
 
-from deep_curiosity.integrations.stable_baselines3.companion import Companion
+from deep_curiosity.integrations.stable_baselines3.attachment import BonusAttachment
 from deep_curiosity.integrations.stable_baselines3.spaces import batch_of, mask_of, scaled
 from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.transitions import Transition, check_counts
@@ -72,7 +72,7 @@ class CuriousRolloutBuffer(RolloutBuffer):
         check_counts(batch_size=batch_size, epochs=epochs)
         self.batch_size = batch_size
         self.epochs = epochs
-        self.companion = Companion(
+        self.attachment = BonusAttachment(
             observation_space,
             action_space,
             bonus=bonus,
@@ -88,7 +88,7 @@ class CuriousRolloutBuffer(RolloutBuffer):
     @property
     def bonus(self) -> Bonus:
         """The bonus in use."""
-        return self.companion.learner.bonus
+        return self.attachment.learner.bonus
 
     def reset(self) -> None:
         """Begin a new rollout."""
@@ -117,7 +117,7 @@ class CuriousRolloutBuffer(RolloutBuffer):
         self.steps.append(
             Transition(
                 observation=batch_of(observation),
-                action=batch_of(scaled(action, self.companion.action_space)),
+                action=batch_of(scaled(action, self.attachment.action_space)),
                 reward=batch_of(reward),
                 next_observation=batch_of(next_observation),
                 terminated=mask_of(done & ~timeout),
@@ -143,18 +143,18 @@ class CuriousRolloutBuffer(RolloutBuffer):
         """Let the bonus learn from the rollout, then compute advantages of reward plus bonus."""
         rollout = self.transition()
         self._learn(rollout)
-        bonus = self.companion.ask(rollout).reshape(self.rewards.shape)
+        bonus = self.attachment.ask(rollout).reshape(self.rewards.shape)
         rewards = self.rewards
         self.rewards = rewards + bonus.cpu().numpy()
         super().compute_returns_and_advantage(last_values, dones)
         self.rewards = rewards
 
     def _learn(self, rollout: Transition) -> None:
-        self.companion.to(self.device)
+        self.attachment.to(self.device)
         num_rows = len(rollout.reward)
         for _ in range(self.epochs):
             for rows in torch.randperm(num_rows).to(self.device).split(self.batch_size):
-                self.companion.learn(Transition(*(field[rows] for field in rollout)))
+                self.attachment.learn(Transition(*(field[rows] for field in rollout)))
 
 
 class CuriousDictRolloutBuffer(CuriousRolloutBuffer, DictRolloutBuffer):  # type: ignore[misc]

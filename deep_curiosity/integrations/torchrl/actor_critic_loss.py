@@ -13,7 +13,7 @@ from torchrl.objectives import SACLoss, ValueEstimators
 from torchrl.objectives.sac import compute_rsample_log_prob
 from torchrl.objectives.utils import _cache_values, build_value_estimator, distance_loss
 
-from deep_curiosity.agent.prior import ActionMarginal
+from deep_curiosity.agent.prior import LearnedPrior
 from deep_curiosity.integrations.torchrl.action_box import Key
 from deep_curiosity.integrations.torchrl.arguments import (
     action_box,
@@ -58,7 +58,7 @@ class CuriousActorCriticLoss(SACLoss):
     Args:
         actor_network: As `SACLoss` takes it, over actions in a bounded range.
         qvalue_network: As `SACLoss` takes it; the curiosity critics get the same architecture.
-        bonus: Asked for each batch; `None` for no curiosity.
+        bonus: BonusFunction for each batch; `None` for no curiosity.
         curiosity_discount: Of the bonus, per step. 0 is the paper's equation as written: the actor
             climbs the bonus itself, differentiated through the model, and no critic learns it.
         hunger: Weight of the extrinsic value, alpha; may be set at any step.
@@ -127,7 +127,7 @@ class CuriousActorCriticLoss(SACLoss):
         self.reader = None if bonus is None else TransitionReader(bonus, self.tensor_keys, box)
         self.curiosity_discount = curiosity_discount
         self.soft_backup = prior == "uniform" if soft_backup is None else soft_backup
-        self.prior = ActionMarginal(box.dim) if prior == "learned" else None
+        self.prior = LearnedPrior(box.dim) if prior == "learned" else None
         self.register_buffer("hunger", torch.tensor(float(hunger)))
         if self.has_curiosity_critic:
             self._make_curiosity_critics(actor_network, qvalue_network, options)

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from deep_curiosity.bonuses.baselines import PredictionErrorBonus
+from deep_curiosity.bonuses.baselines import ICMBonus
 from deep_curiosity.transitions import Transition
 
 
@@ -13,7 +13,7 @@ def transition(batch=64):
 
 
 def test_in_the_state_it_is_half_the_squared_error_of_the_forward_model():
-    bonus = PredictionErrorBonus(3, 2, features="state", hidden_dims=(8,))
+    bonus = ICMBonus(3, 2, features="state", hidden_dims=(8,))
     with torch.no_grad():
         bonus.forward_model.layers[-1].weight.zero_()
         bonus.forward_model.layers[-1].bias.zero_()
@@ -22,7 +22,7 @@ def test_in_the_state_it_is_half_the_squared_error_of_the_forward_model():
 
 
 def test_the_forward_model_does_not_shape_its_own_target():
-    bonus = PredictionErrorBonus(3, 2, feature_dim=4, hidden_dims=(8,))
+    bonus = ICMBonus(3, 2, feature_dim=4, hidden_dims=(8,))
     batch = transition()
     before = bonus._encode(batch.observation).detach()
     after = bonus._encode(batch.next_observation)
@@ -31,7 +31,7 @@ def test_the_forward_model_does_not_shape_its_own_target():
 
 
 def test_features_come_to_tell_what_was_done():
-    bonus = PredictionErrorBonus(3, 2, feature_dim=8, hidden_dims=(32,))
+    bonus = ICMBonus(3, 2, feature_dim=8, hidden_dims=(32,))
     batch = transition(256)
     optimizer = torch.optim.Adam(bonus.parameters(), lr=3e-3)
     for _ in range(300):
@@ -45,4 +45,4 @@ def test_features_come_to_tell_what_was_done():
 
 def test_other_features_are_rejected():
     with pytest.raises((TypeError, ValueError), match="pixels"):
-        PredictionErrorBonus(3, 2, features="pixels")
+        ICMBonus(3, 2, features="pixels")

@@ -7,9 +7,9 @@ from deep_curiosity.bonuses.baselines import NearestNeighboursBonus
 from deep_curiosity.transitions import Transition
 
 
-def remember(bonus, state):
+def update_statistics(bonus, state):
     flag = torch.zeros(len(state), dtype=torch.bool)
-    bonus.remember(
+    bonus.update_statistics(
         Transition(state, torch.zeros(len(state), 1), flag.float(), state, flag, flag), None
     )
 
@@ -26,7 +26,7 @@ def small(**options):
 
 def test_the_bonus_is_the_log_of_the_mean_distance_to_the_nearest():
     bonus = small()
-    remember(bonus, torch.tensor([[0.0], [1.0], [5.0]]))
+    update_statistics(bonus, torch.tensor([[0.0], [1.0], [5.0]]))
     assert ask(bonus, torch.tensor([[2.0]])).item() == pytest.approx(math.log(1 + (1 + 2) / 2))
 
 
@@ -36,20 +36,20 @@ def test_nothing_remembered_earns_nothing():
 
 def test_fewer_states_than_neighbours_are_enough():
     bonus = small(neighbours=3)
-    remember(bonus, torch.tensor([[1.0]]))
+    update_statistics(bonus, torch.tensor([[1.0]]))
     assert ask(bonus, torch.tensor([[4.0]])).item() == pytest.approx(math.log(1 + 3))
 
 
 def test_the_newest_take_the_place_of_the_oldest():
     bonus = small(neighbours=1)
-    remember(bonus, torch.tensor([[0.0], [1.0], [2.0]]))
-    remember(bonus, torch.tensor([[10.0], [11.0], [12.0]]))
+    update_statistics(bonus, torch.tensor([[0.0], [1.0], [2.0]]))
+    update_statistics(bonus, torch.tensor([[10.0], [11.0], [12.0]]))
     assert sorted(bonus.states.flatten().tolist()) == [2, 10, 11, 12]
 
 
 def test_distances_are_in_whitened_units():
     bonus = small(neighbours=1)
-    remember(bonus, torch.tensor([[0.0]]))
+    update_statistics(bonus, torch.tensor([[0.0]]))
     bonus.observation_moments.update(torch.tensor([[-10.0], [10.0]]))
     assert ask(bonus, torch.tensor([[20.0]])).item() == pytest.approx(math.log(1 + 2), abs=1e-4)
 

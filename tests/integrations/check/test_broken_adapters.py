@@ -35,9 +35,9 @@ def bonus_of_step(buffer, observation, next_observation, action):
         number.bool(),
         number.bool(),
     )
-    if not buffer.companion.learner.pace.num_calls:
-        buffer.companion.learn(step)
-    return buffer.companion.ask(step).numpy()
+    if not buffer.attachment.learner.every.num_calls:
+        buffer.attachment.learn(step)
+    return buffer.attachment.ask(step).numpy()
 
 
 class Dropping(CuriousReplayBuffer):
@@ -77,7 +77,7 @@ class AfterAdvantages(CuriousRolloutBuffer):
         RolloutBuffer.compute_returns_and_advantage(self, last_values, dones)
         rollout = self.transition()
         self._learn(rollout)
-        self.rewards = self.rewards + self.companion.ask(rollout).numpy().reshape(-1, 1)
+        self.rewards = self.rewards + self.attachment.ask(rollout).numpy().reshape(-1, 1)
 
 
 def sac(buffer=CuriousReplayBuffer, bonus="curiosity"):
