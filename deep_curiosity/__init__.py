@@ -7,5 +7,3 @@ from deep_curiosity.replay import ReplayBuffer
 from deep_curiosity.transitions import Transition
 
 __version__ = "0.1.0"
-
-__all__ = ["Bonus", "CuriosityBonus", "CuriousSAC", "ReplayBuffer", "Transition"]

@@ -1,4 +1,6 @@
-"""Entropies and divergences of diagonal Gaussians and their mixtures, as pure functions in nats.
+"""Diagonal Gaussians and their mixtures: densities, draws, entropies and divergences, in nats.
+
+Model, marginal, policy and action prior all speak `DiagonalMixture`; the rest are pure functions.
 
 The bounds of the divergence to a mixture are those of Hershey & Olsen, "Approximating the
 Kullback Leibler divergence between Gaussian mixture models" (2007), and Kolchinsky & Tracey,
@@ -6,15 +8,97 @@ Kullback Leibler divergence between Gaussian mixture models" (2007), and Kolchin
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor
 
-from deep_curiosity.distributions import gaussian_log_prob
-
 LOG_TWO_PI = math.log(2 * math.pi)
+
+
+class DiagonalMixture(NamedTuple):
+    """A mixture of diagonal Gaussians for each place of a batch, often of one component."""
+
+    loc: Float[Tensor, "*batch components dim"]
+    log_var: Float[Tensor, "*batch components dim"]
+    log_weight: Float[Tensor, "*batch components"]
+
+    def log_prob(self, value: Float[Tensor, "*places dim"]) -> Float[Tensor, "*places"]:
+        """Log density of values under the whole mixture, in nats."""
+        log_prob = gaussian_log_prob(value.unsqueeze(-2), self.loc, 0.5 * self.log_var)
+        if self.loc.shape[-2] == 1:
+            return log_prob.squeeze(-1)
+        return torch.logsumexp(log_prob + self.log_weight, dim=-1)
+
+    def cdf(self, value: Float[Tensor, "*#batch dim"]) -> Float[Tensor, "*batch dim"]:
+        """Probability of a smaller value, in each coordinate by itself."""
+        standard = (value.unsqueeze(-2) - self.loc) * torch.exp(-0.5 * self.log_var)
+        return (self.log_weight.exp().unsqueeze(-1) * torch.special.ndtr(standard)).sum(-2)
+
+    def mean(self, value: Float[Tensor, "*places components"]) -> Float[Tensor, "*places"]:
+        """Mean over components of a value that each of them has, by their weights."""
+        return (self.log_weight.exp() * value).sum(-1)
+
+    def component_samples(
+        self, noise: Float[Tensor, "*places components dim"]
+    ) -> Float[Tensor, "*places components dim"]:
+        """One point of each component for standard normal `noise`, differentiable."""
+        return self.loc + torch.exp(0.5 * self.log_var) * noise
+
+    def sample(self) -> Float[Tensor, "*batch dim"]:
+        """One point for each place, from a component chosen by its weight."""
+        points = self.component_samples(torch.randn_like(self.loc))
+        if points.shape[-2] == 1:
+            return points.squeeze(-2)
+        return _component_of(points, sample_index(self.log_weight))
+
+    def select(
+        self, component: Int[Tensor, "*batch"]
+    ) -> tuple[Float[Tensor, "*batch dim"], Float[Tensor, "*batch dim"]]:
+        """Mean and log variance of one component for each place."""
+        return _component_of(self.loc, component), _component_of(self.log_var, component)
+
+    def coordinates(self, index: Sequence[int] | Int[Tensor, " some"]) -> "DiagonalMixture":
+        """The mixture's marginal over some coordinates, which is exact."""
+        return DiagonalMixture(self.loc[..., index], self.log_var[..., index], self.log_weight)
+
+    def entropy(self) -> Float[Tensor, "*batch"]:
+        """Differential entropy, from below in nats; exact for one component."""
+        return self.mean(gaussian_entropy(self.log_var)) + jensen_shannon_lower(*self)
+
+    def kl_upper(
+        self, other: "DiagonalMixture", *, product_dtype: torch.dtype = torch.float64
+    ) -> Float[Tensor, "*batch"]:
+        """Upper bound of `KL(self || other)` in nats; `other` is one mixture for all places."""
+        upper = kl_to_mixture_upper(self.loc, self.log_var, *other, product_dtype=product_dtype)
+        return self.mean(upper) - jensen_shannon_lower(*self)
+
+    def kl_lower(self, other: "DiagonalMixture") -> Float[Tensor, "*batch"]:
+        """Lower bound of `KL(self || other)` in nats; `other` is one mixture for all places."""
+        return self.mean(kl_to_mixture_lower(self.loc, self.log_var, *other)) - (
+            jensen_shannon_upper(*self)
+        )
+
+
+def gaussian_log_prob(
+    value: Float[Tensor, "*#batch dim"],
+    loc: Float[Tensor, "*#batch dim"],
+    log_std: Float[Tensor, "*#batch dim"],
+) -> Float[Tensor, "*batch"]:
+    """Log density of a diagonal Gaussian, in nats."""
+    standard = (value - loc) * torch.exp(-log_std)
+    return -(0.5 * standard.square() + log_std + 0.5 * LOG_TWO_PI).sum(-1)
+
+
+def sample_index(log_weight: Float[Tensor, "*batch choices"]) -> Int[Tensor, "*batch"]:
+    """A choice for each place, by its probability: Gumbel's trick.
+
+    `torch.multinomial` would look at the values first, for which a device is waited.
+    """
+    gumbel = -(-torch.rand_like(log_weight).log()).log()
+    return (log_weight + gumbel).argmax(-1)
 
 
 def gaussian_entropy(log_var: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch"]:
@@ -233,3 +317,10 @@ def _log_weight(
     if component_log_weight is None:
         return -math.log(component_loc.shape[0])
     return component_log_weight
+
+
+def _component_of(
+    value: Float[Tensor, "*batch components dim"], component: Int[Tensor, "*batch"]
+) -> Float[Tensor, "*batch dim"]:
+    """One component's value for each place."""
+    return torch.take_along_dim(value, component[..., None, None], dim=-2).squeeze(-2)

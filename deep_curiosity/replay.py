@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from deep_curiosity.transitions import Sequences, Transition, check_counts
@@ -27,7 +27,8 @@ class ReplayBuffer:
         capacity: Number of transitions kept.
         observation_dim: Length of an observation.
         action_dim: Length of an action.
-        seed: Of the generator that draws batches.
+        num_envs: Environments that are stored side by side, one row of each after the other.
+        seed: Seed of the generator that samples batches.
         device: Where rows are kept and batches come out.
 
     Raises:
@@ -40,11 +41,18 @@ class ReplayBuffer:
         observation_dim: int,
         action_dim: int,
         *,
+        num_envs: int = 1,
         seed: int = 0,
         device: str | torch.device = "cpu",
     ) -> None:
-        check_counts(capacity=capacity, observation_dim=observation_dim, action_dim=action_dim)
+        check_counts(
+            capacity=capacity,
+            observation_dim=observation_dim,
+            action_dim=action_dim,
+            num_envs=num_envs,
+        )
         self.capacity = capacity
+        self.num_envs = num_envs
         self.observation_dim = observation_dim
         self.action_dim = action_dim
         self._widths = [observation_dim, action_dim, 1, observation_dim, 1, 1]
@@ -98,43 +106,76 @@ class ReplayBuffer:
             ValueError: If a shape is wrong or a value is NaN or infinite; nothing is then stored.
         """
         num_rows = len(observation)
-        fields = {
-            "observation": (observation, (num_rows, self.observation_dim)),
-            "action": (action, (num_rows, self.action_dim)),
-            "reward": (reward, (num_rows,)),
-            "next_observation": (next_observation, (num_rows, self.observation_dim)),
-            "terminated": (terminated, (num_rows,)),
-            "truncated": (truncated, (num_rows,)),
-        }
-        parts = [_finite_rows(name, *field) for name, field in fields.items()]
-        newest = torch.from_numpy(np.concatenate(parts, axis=1))[-self.capacity :]
+        fields = observation, action, reward, next_observation, terminated, truncated
+        vectors, actions = (num_rows, self.observation_dim), (num_rows, self.action_dim)
+        shapes = [vectors, actions, (num_rows,), vectors, (num_rows,), (num_rows,)]
+        try:
+            with np.errstate(over="ignore"):  # what is too large becomes infinite, and is refused
+                columns = [np.asarray(f, dtype=np.float32).reshape(num_rows, -1) for f in fields]
+                rows = np.concatenate(columns, axis=1)
+            fits = [*map(np.shape, fields)] == shapes and bool(np.isfinite(rows).all())
+        except (TypeError, ValueError):
+            fits = False
+        if not fits:
+            for name, value, shape in zip(Transition._fields, fields, shapes, strict=True):
+                _check_rows(name, value, shape)
+        newest = rows[-self.capacity :]
         self._num_added += num_rows
-        slot = self._arange(self._num_added - len(newest), self._num_added) % self.capacity
-        self._rows[slot] = newest.to(self._rows.device, non_blocking=True)
+        slot = np.arange(self._num_added - len(newest), self._num_added) % self.capacity
+        if self._rows.is_cpu:
+            self._rows.numpy()[slot] = newest  # half the price of going through torch
+        else:
+            self._rows[torch.from_numpy(slot)] = torch.from_numpy(newest).to(self._rows.device)
 
     def sample(self, batch_size: int) -> Transition:
-        """Draw transitions uniformly, with replacement.
+        """Sample transitions uniformly, with replacement.
 
         Raises:
             ValueError: If the buffer is empty or `batch_size` is below 1.
         """
-        return self.transition(self.sample_rows(batch_size))
+        return self.sample_sequences(batch_size).steps
 
-    def sample_rows(self, batch_size: int) -> Float[Tensor, "batch row"]:
-        """The same as it lies in memory, for `transition` to take apart: in a graph, for nothing.
+    def sample_sequences(self, batch_size: int, num_steps: int = 1) -> Sequences:
+        """Sample transitions uniformly, with replacement, each with those that followed it.
+
+        Args:
+            batch_size: Number of sequences.
+            num_steps: Longest that a sequence may be.
 
         Raises:
-            ValueError: If the buffer is empty or `batch_size` is below 1.
+            ValueError: If the buffer is empty or a count is below 1.
         """
-        self._check_draw(batch_size=batch_size)
-        return self._rows.index_select(0, self._draw(len(self), batch_size))
+        return self.sequences(*self.sample_rows(batch_size, num_steps))
 
-    def transition(self, rows: Float[Tensor, "batch row"]) -> Transition:
-        """Fields of rows that were sampled, as views of them."""
+    def sample_rows(
+        self, batch_size: int, num_steps: int = 1
+    ) -> tuple[Float[Tensor, "steps row"], Bool[Tensor, "num_steps batch"]]:
+        """Sequences as they lie in memory, for `sequences` to take apart: in a graph, for nothing.
+
+        Raises:
+            ValueError: If the buffer is empty or a count is below 1.
+        """
+        self._check_sample(batch_size=batch_size, num_steps=num_steps)
+        start = self._sample_below(len(self), batch_size)
+        if num_steps == 1:
+            alive = torch.ones(1, batch_size, dtype=torch.bool, device=start.device)
+            return self._rows.index_select(0, start), alive
+        age = start + self.num_envs * self._arange(num_steps).unsqueeze(-1)  # from the oldest
+        known = age < len(self)
+        slot = self._num_added - len(self) + age.clamp(max=len(self) - 1)
+        rows = self._rows.index_select(0, (slot % self.capacity).flatten())
+        ended = (rows[:, -2:] > 0).any(-1).unflatten(0, (num_steps, batch_size))
+        goes_on = ~ended[:-1] & known[1:]
+        return rows, torch.cat([torch.ones_like(ended[:1]), goes_on]).cumprod(0).bool()
+
+    def sequences(
+        self, rows: Float[Tensor, "steps row"], alive: Bool[Tensor, "num_steps batch"]
+    ) -> Sequences:
+        """Sequences of rows that were sampled, their fields views of them."""
         observation, action, reward, next_observation, terminated, truncated = rows.split(
             self._widths, dim=-1
         )
-        return Transition(
+        steps = Transition(
             observation=observation,
             action=action,
             reward=reward.squeeze(-1),
@@ -142,47 +183,25 @@ class ReplayBuffer:
             terminated=terminated.squeeze(-1) > 0,
             truncated=truncated.squeeze(-1) > 0,
         )
-
-    def sample_sequences(self, batch_size: int, num_steps: int, *, stride: int = 1) -> Sequences:
-        """Draw transitions as `sample` does, each with those that followed it.
-
-        Args:
-            batch_size: Number of sequences.
-            num_steps: Longest that a sequence may be.
-            stride: Rows from a step to the next of the same world: the number of worlds that are
-                stored side by side.
-
-        Raises:
-            ValueError: If the buffer is empty or a count is below 1.
-        """
-        self._check_draw(batch_size=batch_size, num_steps=num_steps, stride=stride)
-        start = self._draw(len(self), batch_size)
-        age = start + stride * self._arange(num_steps).unsqueeze(-1)  # from the oldest held
-        known = age < len(self)
-        slot = self._num_added - len(self) + age.clamp(max=len(self) - 1)
-        steps = self._at((slot % self.capacity).flatten())
-        ended = (steps.terminated | steps.truncated).unflatten(0, (num_steps, batch_size))
-        goes_on = ~ended[:-1] & known[1:]
-        alive = torch.cat([torch.ones_like(ended[:1]), goes_on]).cumprod(0).bool()
         return Sequences(steps, alive)
 
     def sample_newest(self, batch_size: int, *, window: int) -> Transition:
-        """Draw uniformly from the newest `window` transitions, or all while there are fewer.
+        """Sample uniformly from the newest `window` transitions, or all while there are fewer.
 
         Raises:
             ValueError: If the buffer is empty or a count is below 1.
         """
-        self._check_draw(batch_size=batch_size, window=window)
-        age = self._draw(min(window, len(self)), batch_size)
+        self._check_sample(batch_size=batch_size, window=window)
+        age = self._sample_below(min(window, len(self)), batch_size)
         return self._at((self._num_added - 1 - age) % self.capacity)
 
     def sample_fading(self, batch_size: int, *, half_life: int) -> Transition:
-        """Draw transitions whose weight halves with every `half_life` that came after them.
+        """Sample transitions whose weight halves with every `half_life` that came after them.
 
         Raises:
             ValueError: If the buffer is empty or a count is below 1.
         """
-        self._check_draw(batch_size=batch_size, half_life=half_life)
+        self._check_sample(batch_size=batch_size, half_life=half_life)
         rate = math.log(2) / half_life
         held = -math.expm1(-rate * len(self))  # weight of what is held, as a share of all
         share = torch.rand(
@@ -194,20 +213,20 @@ class ReplayBuffer:
         age = (torch.log1p(-held * share) / -rate).long().clamp_(max=len(self) - 1)
         return self._at((self._num_added - 1 - age) % self.capacity)
 
-    def spread(self, num_rows: int) -> Transition:
+    def evenly_spaced(self, num_rows: int) -> Transition:
         """Transitions at equal distances over all that is held, the same at every call.
 
         Raises:
             ValueError: If the buffer is empty or `num_rows` is below 1.
         """
-        self._check_draw(num_rows=num_rows)
+        self._check_sample(num_rows=num_rows)
         return self._at(self._arange(num_rows) * len(self) // num_rows)
 
     def all(self) -> Transition:
         """Every transition held, oldest first."""
         split = self._num_added % self.capacity if self._num_added > self.capacity else 0
         held = self._rows[: len(self)]
-        return self.transition(torch.cat([held[split:], held[:split]]))
+        return self._transition(torch.cat([held[split:], held[:split]]))
 
     def state_dict(self) -> dict[str, Any]:
         """Rows held and the state of the generator."""
@@ -274,7 +293,7 @@ class ReplayBuffer:
         Args:
             buffer: A torchrl buffer of tensordicts.
             capacity: Of the new buffer; that of the old one's contents when `None`.
-            seed: Of the generator that draws batches.
+            seed: Seed of the generator that samples batches.
         """
         held = _oldest_first(buffer)
         following = held["next"]
@@ -296,7 +315,7 @@ class ReplayBuffer:
         copy._num_added = rows.shape[0]
         return copy
 
-    def _check_draw(self, **counts: int) -> None:
+    def _check_sample(self, **counts: int) -> None:
         check_counts(**counts)
         if len(self) == 0:
             raise ValueError("the replay must hold a transition before it is sampled, got 0.")
@@ -304,7 +323,7 @@ class ReplayBuffer:
     def _arange(self, *bounds: int) -> Int[Tensor, " numbers"]:
         return torch.arange(*bounds, device=self._rows.device)
 
-    def _draw(self, bound: int, batch_size: int) -> Int[Tensor, " batch"]:
+    def _sample_below(self, bound: int, batch_size: int) -> Int[Tensor, " batch"]:
         """Whole numbers below a bound, where the rows are: nothing waits for a device."""
         return torch.randint(
             bound, (batch_size,), generator=self._generator, device=self._rows.device
@@ -312,7 +331,11 @@ class ReplayBuffer:
 
     def _at(self, slot: Int[Tensor, " batch"]) -> Transition:
         """The transitions in some slots."""
-        return self.transition(self._rows.index_select(0, slot))
+        return self._transition(self._rows.index_select(0, slot))
+
+    def _transition(self, rows: Float[Tensor, "batch row"]) -> Transition:
+        alive = torch.ones(1, len(rows), dtype=torch.bool, device=rows.device)
+        return self.sequences(rows, alive).steps
 
 
 def _check_vector(name: str, value: Vector, dim: int) -> None:
@@ -324,7 +347,7 @@ def _check_vector(name: str, value: Vector, dim: int) -> None:
         raise ValueError(f"`{name}` must be finite, got {vector.tolist()}.")
 
 
-def _finite_rows(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+def _check_rows(name: str, value: np.ndarray, shape: tuple[int, ...]) -> None:
     with np.errstate(over="ignore"):
         array = np.asarray(value, dtype=np.float32)
     if array.shape != shape:
@@ -334,7 +357,6 @@ def _finite_rows(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.nda
     if not finite.all():
         row = int(np.argmin(finite))
         raise ValueError(f"`{name}` must be finite, got {rows[row].tolist()} in row {row}.")
-    return rows
 
 
 def _oldest_first(buffer: "TorchRLReplayBuffer") -> Any:

@@ -1,60 +1,81 @@
-"""Numbers that go with time: the price of information lambda(t) and the hunger alpha(t)."""
+"""Numbers that go with time, each as one value: the price of information, the hunger."""
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, Self, get_args
 
-Shape = Literal["linear", "exponential", "annealing"]
+Shape = Literal["constant", "linear", "exponential", "plateaus"]
 NUM_PLATEAUS = 10  # temperatures at which annealing waits
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """A positive number that goes from `first` to `last`, and stays there.
+    """A positive number that goes from `first` to `last` in the course of a run.
+
+    As text, on a command line or in a file, it is `shape:first:last`, such as `linear:1:10`, or
+    `constant:0.05`.
 
     Args:
-        first: Value at step 0.
-        last: Value from `num_steps` on.
-        num_steps: Length of the way, in environment steps.
-        shape: `"linear"`; `"exponential"`, by the same factor at every step; or `"annealing"`,
-            the same in ten plateaus, so that the policy settles at each temperature before the
-            next: deterministic annealing, as the paper's section 4 lowers lambda.
+        first: Value at the beginning.
+        last: Value at the end; `first` when `None`.
+        shape: `"constant"`; `"linear"`; `"exponential"`, by the same factor at every step; or
+            `"plateaus"`, the same in ten steps, so that the policy settles at each value before
+            the next: deterministic annealing, as the paper's section 4 lowers lambda.
 
     Raises:
-        ValueError: If an end is not finite and positive, or `num_steps` is below 1.
+        ValueError: If an end is not finite and positive, the shape is unknown, or a constant is to
+            end elsewhere than it begins.
     """
 
     first: float
-    last: float
-    num_steps: int
+    last: float | None = None
     shape: Shape = "exponential"
 
     def __post_init__(self) -> None:
         """Reject a way that leads nowhere."""
+        if self.shape not in get_args(Shape):
+            raise ValueError(f"`shape` must be one of {get_args(Shape)}, got {self.shape!r}.")
         for name in ("first", "last"):
             value = getattr(self, name)
-            if not 0 < value < math.inf:
+            if value is not None and not 0 < value < math.inf:
                 raise ValueError(f"`{name}` must be finite and positive, got {value}.")
-        if self.num_steps < 1:
-            raise ValueError(f"`num_steps` must be at least 1, got {self.num_steps}.")
-        if self.shape not in _PROGRESS:
-            raise ValueError(f"`shape` must be one of {tuple(_PROGRESS)}, got {self.shape!r}.")
+        if (self.shape == "constant") != (self.last is None):
+            raise ValueError(
+                "`last` must be left out where the shape is 'constant', and nowhere else, "
+                f"got {self.last} for {self.shape!r}."
+            )
 
-    def __call__(self, step: int) -> float:
-        """Value at an environment step."""
-        progress = _PROGRESS[self.shape](min(step / self.num_steps, 1.0))
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Read `shape:first:last`.
+
+        Raises:
+            ValueError: If the text is no schedule.
+        """
+        shape, *numbers = text.split(":")
+        try:
+            values = [float(number) for number in numbers]
+        except ValueError:
+            values = []
+        if shape not in get_args(Shape) or not 1 <= len(values) <= 2:
+            raise ValueError(
+                "a schedule must be written as shape:first:last, its shape one of "
+                f"{', '.join(get_args(Shape))}, got {text!r}."
+            )
+        return cls(*values, shape=shape)  # type: ignore[arg-type]  # one of the shapes
+
+    def __str__(self) -> str:
+        """As `parse` reads it."""
+        ends = [self.first] if self.last is None else [self.first, self.last]
+        return ":".join([self.shape, *(f"{end!r}" for end in ends)])
+
+    def __call__(self, progress: float) -> float:
+        """Value at a share of the way, from 0 to 1; it stays where it ends."""
+        progress = min(progress, 1.0)
+        if self.last is None:
+            return self.first
         if self.shape == "linear":
             return self.first + progress * (self.last - self.first)
+        if self.shape == "plateaus":
+            progress = math.floor(progress * NUM_PLATEAUS) / NUM_PLATEAUS
         return self.first * (self.last / self.first) ** progress
-
-
-def _in_plateaus(progress: float) -> float:
-    return math.floor(progress * NUM_PLATEAUS) / NUM_PLATEAUS
-
-
-_PROGRESS: dict[str, Callable[[float], float]] = {
-    "linear": float,
-    "exponential": float,
-    "annealing": _in_plateaus,
-}

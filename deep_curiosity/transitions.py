@@ -12,7 +12,7 @@ class Transition(NamedTuple):
     """A batch of environment steps, as the environment gave them.
 
     The reward holds no bonus, `next_observation` is the true successor also where an episode was
-    cut off, and `terminated` (the world ended: nothing to bootstrap) is kept apart from
+    cut off, and `terminated` (the episode ended for good: nothing to bootstrap) is kept apart from
     `truncated` (a clock ended the episode: the value goes on).
     """
 
@@ -39,19 +39,40 @@ class Sequences(NamedTuple):
     @property
     def first(self) -> Transition:
         """The first transition of every sequence."""
+        if len(self.alive) == 1:
+            return self.steps
         return Transition(*(field[: self.alive.shape[1]] for field in self.steps))
 
     def last(self, num_steps: int) -> Transition:
         """The last transition of every sequence within so many steps."""
+        if num_steps == 1:
+            return self.first
         batch = self.alive.shape[1]
         number = self.alive[:num_steps].sum(0) - 1
         rows = number * batch + torch.arange(batch, device=number.device)
         return Transition(*(field[rows] for field in self.steps))
 
+    def check(self, observation_dim: int, action_dim: int, dtype: torch.dtype) -> None:
+        """Reject sequences whose steps are no transitions, or do not fit `alive`.
 
-def first_of(batch: Transition | Sequences) -> Transition:
-    """The transitions themselves, or the first of every sequence."""
-    return batch.first if isinstance(batch, Sequences) else batch
+        Raises:
+            TypeError: If a field has the wrong kind.
+            ValueError: If a field has the wrong shape or holds NaN or infinity.
+        """
+        check_transition(self.steps, observation_dim, action_dim, dtype)
+        if self.alive.ndim != 2 or self.alive.numel() != len(self.steps.reward):
+            raise ValueError(
+                f"`alive` must have shape (num_steps, batch) of {len(self.steps.reward)} steps, "
+                f"got {tuple(self.alive.shape)}."
+            )
+
+
+def as_sequences(batch: Transition | Sequences) -> Sequences:
+    """Sequences as they are, transitions as sequences of one step."""
+    if isinstance(batch, Sequences):
+        return batch
+    check_scalars("terminated", batch.terminated, torch.bool)
+    return Sequences(batch, torch.ones_like(batch.terminated).unsqueeze(0))
 
 
 def check_batch(name: str, value: Tensor, dim: int, dtype: torch.dtype = torch.float32) -> None:
@@ -99,9 +120,6 @@ def check_finite(**values: Tensor) -> None:
     Raises:
         ValueError: If any entry is NaN or infinite.
     """
-    total = torch.stack([value.sum() for value in values.values()]).sum()
-    if math.isfinite(total.item()):  # one wait for a device; only overflow needs another look
-        return
     for name, value in values.items():
         finite = torch.isfinite(value)
         if not finite.all():
@@ -124,6 +142,29 @@ def check_transition(
     """
     if torch.compiler.is_compiling():
         return
+    try:
+        observation, action, reward, next_observation, terminated, truncated = transition
+        batch = len(reward)
+        fits = (
+            observation.dtype == action.dtype == reward.dtype == next_observation.dtype == dtype
+            and terminated.dtype == truncated.dtype == torch.bool
+            and observation.shape == next_observation.shape == (batch, observation_dim)
+            and action.shape == (batch, action_dim)
+            and reward.shape == terminated.shape == truncated.shape == (batch,)
+        )
+        # one wait for a device; a sum that overflows only needs another look
+        total = observation.sum() + action.sum() + next_observation.sum() + reward.sum()
+        if fits and batch and math.isfinite(total):
+            return
+    except (AttributeError, TypeError, RuntimeError):
+        pass  # what is wrong is said below
+    _explain(transition, observation_dim, action_dim, dtype)
+
+
+def _explain(
+    transition: Transition, observation_dim: int, action_dim: int, dtype: torch.dtype
+) -> None:
+    """Say what is wrong with a transition, field by field; nothing where only a sum overflowed."""
     for name, dim in (
         ("observation", observation_dim),
         ("action", action_dim),

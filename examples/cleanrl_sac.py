@@ -30,7 +30,7 @@ from torch.nn.functional import softplus
 from torch.utils.tensorboard import SummaryWriter
 
 from deep_curiosity import CuriosityBonus, Transition  # + curiosity
-from deep_curiosity.bonuses.registry import BonusLearner  # + curiosity
+from deep_curiosity.bonuses.learner import BonusLearner  # + curiosity
 
 LOG_STD_RANGE = (-5.0, 2.0)  # below -5 the density of tanh is sharper than float32 resolves
 
@@ -241,7 +241,7 @@ if __name__ == "__main__":
 
         batch = replay.sample(args.batch_size)
         bonus.learn(Transition(*batch), actor.draw)  # + curiosity
-        batch = batch._replace(reward=batch.reward + bonus.ask(Transition(*batch)))  # + curiosity
+        batch = batch._replace(reward=batch.reward + bonus.compute(Transition(*batch)))  # + curiosity
 
         # critic: towards reward and the soft value of the next state, if there is one
         temperature = log_temperature.exp().detach()

@@ -27,7 +27,7 @@ from torch import Tensor, nn
 from torch.utils.tensorboard import SummaryWriter
 
 from deep_curiosity import CuriosityBonus, Transition  # + curiosity
-from deep_curiosity.bonuses.registry import BonusLearner  # + curiosity
+from deep_curiosity.bonuses.learner import BonusLearner  # + curiosity
 
 
 @dataclass(frozen=True)
@@ -228,7 +228,7 @@ if __name__ == "__main__":
 
         batch = replay.sample(args.batch_size)
         bonus.learn(Transition(*batch), explore)  # + curiosity
-        batch = batch._replace(reward=batch.reward + bonus.ask(Transition(*batch)))  # + curiosity
+        batch = batch._replace(reward=batch.reward + bonus.compute(Transition(*batch)))  # + curiosity
 
         # critic: towards reward and the value of the next state, if there is one
         with torch.no_grad():

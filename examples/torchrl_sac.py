@@ -24,7 +24,7 @@ from torchrl.objectives import SACLoss, SoftUpdate
 
 from deep_curiosity import CuriosityBonus  # + curiosity
 from deep_curiosity.integrations.torchrl import CuriosityTransform  # + curiosity
-from deep_curiosity.bonuses.registry import BonusLearner  # + curiosity
+from deep_curiosity.bonuses.learner import BonusLearner  # + curiosity
 
 
 @dataclass(frozen=True)

@@ -1,22 +1,21 @@
-"""Train the curious agent, or plain soft actor-critic, on a continuous-control task."""
+"""Train the curious agent on a continuous-control task; --help-all shows every setting."""
 
 import sys
 
-import tyro
-
-from deep_curiosity.training import Settings, train
+from deep_curiosity.training import train
+from deep_curiosity.training.command_line import parse
 
 
 def main() -> None:
     """Read the command line, train, and say where the run lies."""
-    settings = tyro.cli(Settings, description=__doc__)
     try:
-        summary = train(settings)
-    except (ImportError, OSError, RuntimeError, ValueError) as error:
+        command = parse(description=__doc__ or "")
+        summary = train(command.config, resume=command.resume)
+    except (ImportError, OSError, RuntimeError, TypeError, ValueError) as error:
         sys.exit(f"error: {error}")
     except KeyboardInterrupt:
         sys.exit(130)
-    folder = settings.resume or settings.out
+    folder = command.config.run.out
     print(f"evaluation return {summary['evaluation_return']}, records in {folder}")
 
 

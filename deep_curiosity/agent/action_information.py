@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from deep_curiosity.distributions import SquashedMixture
+from deep_curiosity.gaussians import DiagonalMixture
 
 
 class ActionInformation(NamedTuple):
@@ -18,7 +18,7 @@ class ActionInformation(NamedTuple):
 
 
 def action_information(
-    policy: SquashedMixture, pre_action: Float[Tensor, "batch action_dim"]
+    policy: DiagonalMixture, pre_action: Float[Tensor, "batch action_dim"]
 ) -> ActionInformation:
     r"""Mutual information of action and state, with the policies at all states for a marginal.
 

@@ -27,7 +27,7 @@ from deep_curiosity.integrations.stable_baselines3 import CuriousReplayBuffer
 from deep_curiosity.integrations.torchrl import CuriosityTransform
 from deep_curiosity.benchmark.agents import ACTION_DIM, OBSERVATION_DIM, Row
 from deep_curiosity.benchmark.costs import alternate
-from deep_curiosity.bonuses.registry import BonusLearner
+from deep_curiosity.bonuses.learner import BonusLearner
 from deep_curiosity.bonuses.curiosity import CuriosityBonus
 from deep_curiosity.transitions import Transition
 
@@ -154,7 +154,7 @@ def directly(transition: Transition) -> Callable[[], Tensor]:
 
     def call() -> Tensor:
         learner.learn(transition)
-        return learner.ask(transition)
+        return learner.compute(transition)
 
     return call
 

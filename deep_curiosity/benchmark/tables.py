@@ -61,9 +61,7 @@ def ratio(over: str, under: str) -> Callable[[Row], float]:
 
 def rate_over(rows: Sequence[Row], reference: str) -> Callable[[Row], float]:
     """Steps per second of a row over those of a reference in the same turn."""
-    rates = {
-        row["repeat"]: row["steps_per_second"] for row in rows if row["runner"] == reference
-    }
+    rates = {row["repeat"]: row["steps_per_second"] for row in rows if row["runner"] == reference}
     return lambda row: row["steps_per_second"] / rates[row["repeat"]]
 
 

@@ -31,6 +31,24 @@ class Bonus(nn.Module, ABC):
     scores_outcomes: ClassVar[bool] = False
     """Whether `next_observation` must be given. Such a bonus has no gradient in the action."""
 
+    @property
+    def ready(self) -> bool:
+        """Whether the bonus can be computed yet; some must observe a batch first."""
+        return True
+
+    @property
+    def should_skip(self) -> bool:
+        """Whether the next batch would leave no trace in `observe`. To ask changes nothing.
+
+        A loop that has work to make a batch ready may spare it::
+
+            if bonus.should_skip:
+                bonus.skip()
+            else:
+                bonus.observe(make_batch(), policy)
+        """
+        return False
+
     @abstractmethod
     def forward(
         self,
@@ -45,18 +63,23 @@ class Bonus(nn.Module, ABC):
         """Loss of what the bonus learns; the caller owns the optimiser."""
 
     @abstractmethod
-    def observe(self, transition: Transition, policy: Policy | None = None) -> None:
-        """Update statistics from a batch; `policy` draws what it would do now."""
+    def observe(
+        self,
+        transition: Transition,
+        policy: Policy | None = None,
+        visited: Transition | None = None,
+    ) -> None:
+        """Update statistics from a batch.
 
-    def passes(self) -> bool:
-        """Whether the next batch would leave no trace in `observe`; it is then counted as seen.
-
-        A loop that has work to make a batch ready may ask before each::
-
-            if not bonus.passes():
-                bonus.observe(batch(), policy)
+        Args:
+            transition: A batch from replay, or the newest rollout.
+            policy: Draws what the agent would do now.
+            visited: Where the agent has been of late, if not at the batch; a bonus that asks
+                nothing of the kind leaves it aside.
         """
-        return False
+
+    def skip(self) -> None:
+        """Count a batch that is not shown, because `should_skip` said so."""
 
     @abstractmethod
     def metrics(self) -> dict[str, Tensor]:

@@ -7,8 +7,7 @@ from typing import NamedTuple
 from jaxtyping import Float
 from torch import Tensor
 
-from deep_curiosity.gaussians import gaussian_entropy, jensen_shannon_lower
-from deep_curiosity.bonuses.dynamics import Prediction
+from deep_curiosity.gaussians import DiagonalMixture, jensen_shannon_lower
 
 
 class Coefficients(NamedTuple):
@@ -56,27 +55,22 @@ def coefficients_of(parts: Mapping[str, float] | None) -> Coefficients:
     return coefficients
 
 
-def conditional_entropy(prediction: Prediction) -> Float[Tensor, "members batch"]:
-    """Differential entropy of each member's prediction, from below, in nats."""
-    return prediction.mean(gaussian_entropy(prediction.log_var)) + jensen_shannon_lower(
-        *prediction
-    )
-
-
-def information_gain(prediction: Prediction) -> Float[Tensor, " batch"]:
+def information_gain(
+    prediction: DiagonalMixture,
+) -> Float[Tensor, " batch"]:
     r"""What a next state would tell about which member is right, in nats, at most `log members`.
 
     .. math:: JSD(p_1, \dots, p_E) = I(e; x') = I(e, k; x') - I(k; x' | e)
 
-    for members `e` and their outcomes `k`. Each information is the pairwise lower bound by
+    for members `e` and their components `k`. Each information is the pairwise lower bound by
     Bhattacharyya distances, which is exact where members agree and where they lie far apart; with
-    one outcome the last one is zero, and the result a lower bound.
+    one component the last one is zero, and the result a lower bound.
 
     Reference: Kolchinsky & Tracey, "Estimating mixture entropy with pairwise distances" (2017).
     """
     loc, log_var, log_weight = (
         field.transpose(0, 1).flatten(1, 2) for field in prediction
-    )  # batch members*outcomes ...
+    )  # batch members*components ...
     log_weight = log_weight - math.log(len(prediction.loc))
-    of_both = jensen_shannon_lower(loc, log_var, log_weight)
-    return of_both - jensen_shannon_lower(*prediction).mean(0)
+    joint = jensen_shannon_lower(loc, log_var, log_weight)
+    return joint - jensen_shannon_lower(*prediction).mean(0)

@@ -1,20 +1,20 @@
-"""The learned world: an ensemble of Gaussian networks that predict the next state."""
+"""The learned dynamics: an ensemble of Gaussian networks that predict the next state."""
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Literal, NamedTuple
+from typing import Literal, get_args
 
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn.functional import softplus
 
-from deep_curiosity.distributions import gaussian_log_prob
-from deep_curiosity.nn.hashing import HASH_FACTOR, HASH_OFFSET, scrambled
-from deep_curiosity.nn.mlp import StackedMLP, log_softmax_of_rest, assign_rows
-from deep_curiosity.nn.normalization import WHITENINGS
+from deep_curiosity.gaussians import DiagonalMixture
+from deep_curiosity.nn.networks import StackedMLP, assign_rows, log_softmax_of_rest, restore_order
+from deep_curiosity.nn.statistics import HASH_FACTOR, HASH_OFFSET, WHITENINGS, scrambled
 from deep_curiosity.transitions import Transition, check_counts, check_finite
 
+Members = Literal["round_robin", "all"]
 Features = Callable[[Tensor], Tensor]
 """What of observations `(batch, observation_dim)` is to be predicted, `(batch, features)`."""
 
@@ -23,38 +23,25 @@ HELD_OUT_SHARE = 20  # one transition in twenty is never trained on
 HELD_OUT_DECAY = 0.98  # of the held-out averages, for each batch
 
 
-class Prediction(NamedTuple):
-    """Next states as each member sees them, in whitened units: a mixture of outcomes, or one."""
-
-    loc: Float[Tensor, "members batch outcomes features"]
-    log_var: Float[Tensor, "members batch outcomes features"]
-    log_weight: Float[Tensor, "members batch outcomes"]
-
-    def mean(
-        self, value: Float[Tensor, "*samples members batch outcomes"]
-    ) -> Float[Tensor, "*samples members batch"]:
-        """Mean over outcomes by their weights."""
-        return (self.log_weight.exp() * value).sum(-1)
-
-
 class DynamicsEnsemble(nn.Module):
     r"""Gaussian models `p_e(x'|x, a)` of the next state, stacked along a leading axis of members.
 
     Each member predicts the whitened change of state with its own variance. Predictions come out
     in whitened units of the observation, where `noise_floor` is the resolution at which the agent
     sees: no prediction is sharper than that. Where the next state is one of several, such as a
-    ball caught or dropped, `outcomes` makes every prediction a mixture (Bishop, "Mixture density
-    networks", 1994).
+    ball caught or dropped, several `mixture_components` make every prediction a mixture (Bishop,
+    "Mixture density networks", 1994).
 
     Args:
         observation_dim: Length of an observation.
         action_dim: Length of an action.
-        members: Number of models, at least 2: one alone cannot disagree.
-        outcomes: Gaussians that make up each prediction.
         hidden_dims: Width of every hidden layer.
+        num_members: Number of models, at least 2: one alone cannot disagree.
+        members: `"all"` trains every member on the batch by a bootstrap, and asks every member for
+            a prediction; `"round_robin"` gives each row to one member, `r % num_members`: an
+            unbiased estimate for as many times less as there are members.
+        mixture_components: Gaussians that make up each prediction.
         noise_floor: Standard deviation added to every prediction, in whitened units.
-        member_per_row: Let each transition of a batch train one member, in turn, instead of every
-            member by a bootstrap: for as many times less as there are members.
         whitening: Unit of observations and changes: their mean and standard deviation, or median
             and interquartile range, which no tail moves.
         features: Maps observations to what of the next one is predicted, in units of its own; the
@@ -64,8 +51,8 @@ class DynamicsEnsemble(nn.Module):
             see to that itself. Both are asked once here, in float32 on the CPU.
 
     Raises:
-        ValueError: If `members` is below 2, a count, dimension or the floor is not positive, or
-            `features` gives no batch of vectors.
+        ValueError: If `num_members` is below 2, a count, dimension or the floor is not positive,
+            a choice is unknown, or `features` gives no batch of vectors.
     """
 
     held_out_nll: Tensor
@@ -76,28 +63,31 @@ class DynamicsEnsemble(nn.Module):
         observation_dim: int,
         action_dim: int,
         *,
-        members: int = 5,
-        outcomes: int = 1,
         hidden_dims: Sequence[int] = (256, 256),
+        num_members: int = 5,
+        members: Members = "round_robin",
+        mixture_components: int = 1,
         noise_floor: float = 0.05,
-        member_per_row: bool = False,
         whitening: Literal["moments", "robust"] = "moments",
         features: Features | None = None,
     ) -> None:
         super().__init__()
         if whitening not in WHITENINGS:
             raise ValueError(f"`whitening` must be 'moments' or 'robust', got {whitening!r}.")
-        if members < 2:
-            raise ValueError(
-                f"`members` must be at least 2 to measure disagreement, got {members}."
-            )
-        check_counts(observation_dim=observation_dim, action_dim=action_dim, outcomes=outcomes)
+        check_members(num_members, members)
+        check_counts(
+            observation_dim=observation_dim,
+            action_dim=action_dim,
+            mixture_components=mixture_components,
+        )
         if not 0 < noise_floor < math.inf:
             raise ValueError(f"`noise_floor` must be positive and finite, got {noise_floor}.")
+        self.observation_dim = observation_dim
+        self.action_dim = action_dim
+        self.num_members = num_members
         self.members = members
-        self.outcomes = outcomes
+        self.mixture_components = mixture_components
         self.noise_floor = noise_floor
-        self.member_per_row = member_per_row
         self.features = features
         if isinstance(features, nn.Module):
             features.eval().requires_grad_(False)
@@ -105,13 +95,13 @@ class DynamicsEnsemble(nn.Module):
             observation_dim if features is None else count_features(features, observation_dim)
         )
         self.network = StackedMLP(
-            members,
+            num_members,
             observation_dim + action_dim,
             hidden_dims,
-            2 * outcomes * self.predicted_dim + outcomes - 1,
+            mixture_components * (2 * self.predicted_dim + 1) - 1,
         )
-        if outcomes > 1:
-            self._spread_outcomes(self.predicted_dim)
+        if mixture_components > 1:
+            self._separate_components(self.predicted_dim)
         self.observation_moments = WHITENINGS[whitening](observation_dim)
         self.change_moments = WHITENINGS[whitening](self.predicted_dim)
         self.feature_moments = (
@@ -124,8 +114,13 @@ class DynamicsEnsemble(nn.Module):
         self,
         observation: Float[Tensor, "*#members batch observation_dim"],
         action: Float[Tensor, "*#members batch action_dim"],
-    ) -> Prediction:
-        """Whitened next state of each member, for one shared batch or for a batch of each."""
+    ) -> DiagonalMixture:
+        """Whitened next state of each member, `(members, batch)` mixtures.
+
+        Args:
+            observation: One batch for all members, or a batch for each.
+            action: Likewise, in [-1, 1].
+        """
         change = self._whitened_change(observation, action)
         moments = self.feature_moments or self.observation_moments
         ratio = self.change_moments.scale / moments.scale
@@ -133,7 +128,19 @@ class DynamicsEnsemble(nn.Module):
         shift = shift.unsqueeze(-2)  # *members batch 1 features
         log_floor = torch.full_like(change.log_var, 2 * math.log(self.noise_floor))
         log_var = torch.logaddexp(change.log_var + 2 * ratio.log(), log_floor)
-        return Prediction(shift + ratio * change.loc, log_var, change.log_weight)
+        return DiagonalMixture(shift + ratio * change.loc, log_var, change.log_weight)
+
+    def round_robin(
+        self,
+        observation: Float[Tensor, "batch observation_dim"],
+        action: Float[Tensor, "batch action_dim"],
+    ) -> DiagonalMixture:
+        """Whitened next state by one member for each row, `r % num_members`: `(1, batch)`."""
+        batch = observation.shape[0]
+        row, _ = assign_rows(batch, self.num_members, observation.device)
+        assigned = self(observation[row], action[row])  # members rows ...
+        fields = (restore_order(field, batch).unsqueeze(0) for field in assigned)
+        return DiagonalMixture(*fields)
 
     def loss(self, transition: Transition) -> Float[Tensor, ""]:
         """Negative log-likelihood of the whitened change, in nats, summed over members.
@@ -145,27 +152,26 @@ class DynamicsEnsemble(nn.Module):
         observation, action, _, next_observation, *_ = transition
         held_out = is_held_out(torch.cat([observation, action, next_observation], -1))
         num_trained = (~held_out).sum().clamp(min=1)
-        if self.member_per_row:
-            row, once = assign_rows(observation.shape[0], self.members, observation.device)
+        if self.members == "round_robin":
+            row, once = assign_rows(observation.shape[0], self.num_members, observation.device)
             observation, action, next_observation, held_out = (
                 field[row] for field in (observation, action, next_observation, held_out)
             )
-            weight = (once & ~held_out) * float(self.members)
+            weight = (once & ~held_out) * float(self.num_members)
         else:
-            ones = observation.new_ones(self.members, *held_out.shape)
+            ones = observation.new_ones(self.num_members, *held_out.shape)
             weight = torch.poisson(ones).masked_fill_(held_out, 0.0)
         change, target = self._change_and_target(observation, action, next_observation)
-        nll = _negative_log_likelihood(change, target)
+        nll = -change.log_prob(target)
         with torch.no_grad():
-            self._track_held_out(nll, _quantile(change, target), held_out)
+            self._track_held_out(nll, change.cdf(target), held_out)
         return (weight * nll).sum() / num_trained
 
     def negative_log_likelihood(self, transition: Transition) -> Float[Tensor, "members batch"]:
         """Negative log-likelihood of the whitened change under each member, in nats."""
         observation, action, _, next_observation, *_ = transition
-        return _negative_log_likelihood(
-            *self._change_and_target(observation, action, next_observation)
-        )
+        change, target = self._change_and_target(observation, action, next_observation)
+        return -change.log_prob(target)
 
     @torch.no_grad()
     def observe(self, transition: Transition) -> None:
@@ -198,24 +204,24 @@ class DynamicsEnsemble(nn.Module):
         return self.features(observation.flatten(0, -2)).unflatten(0, observation.shape[:-1])
 
     @torch.no_grad()
-    def _spread_outcomes(self, dim: int) -> None:
-        """Begin with outcomes apart, at quantiles of a standard Gaussian, the same everywhere.
+    def _separate_components(self, dim: int) -> None:
+        """Begin with components apart, at quantiles of a standard Gaussian, the same everywhere.
 
         So none starves another, and no two change places between one action and the next. Each
         member and feature pairs them by a sign of its own.
         """
-        level = (torch.arange(self.outcomes) + 0.5) / self.outcomes
-        sign = 2.0 * torch.randint(2, (self.members, 1, 1, dim)) - 1
-        spread = sign * torch.special.ndtri(level).unsqueeze(-1)
+        level = (torch.arange(self.mixture_components) + 0.5) / self.mixture_components
+        sign = 2.0 * torch.randint(2, (self.num_members, 1, 1, dim)) - 1
+        quantile = sign * torch.special.ndtri(level).unsqueeze(-1)
         for parameter, start in zip(
-            self.network.layers[-1].parameters(), (0, spread), strict=True
+            self.network.layers[-1].parameters(), (0, quantile), strict=True
         ):
-            shape = parameter[..., : 2 * self.outcomes * dim]
-            shape.unflatten(-1, (self.outcomes, -1))[..., :dim] = start
+            shape = parameter[..., : 2 * self.mixture_components * dim]
+            shape.unflatten(-1, (self.mixture_components, -1))[..., :dim] = start
 
     def _change_and_target(
         self, observation: Tensor, action: Tensor, next_observation: Tensor
-    ) -> tuple[Prediction, Float[Tensor, "*#members batch features"]]:
+    ) -> tuple[DiagonalMixture, Float[Tensor, "*#members batch features"]]:
         """Predicted and true change, both whitened."""
         prediction = self._whitened_change(observation, action)
         change = self._featured(next_observation) - self._featured(observation)
@@ -223,13 +229,13 @@ class DynamicsEnsemble(nn.Module):
             change = change.detach()  # features that learn are none of the models' business
         return prediction, self.change_moments.normalize(change)
 
-    def _whitened_change(self, observation: Tensor, action: Tensor) -> Prediction:
+    def _whitened_change(self, observation: Tensor, action: Tensor) -> DiagonalMixture:
         pair = torch.cat([self.observation_moments.normalize(observation), action], dim=-1)
         output = self.network(pair)
         dim = self.predicted_dim
-        shape, logits = output.tensor_split([2 * self.outcomes * dim], dim=-1)
-        loc, raw_log_var = shape.unflatten(-1, (self.outcomes, 2 * dim)).chunk(2, dim=-1)
-        return Prediction(
+        shape, logits = output.tensor_split([2 * self.mixture_components * dim], dim=-1)
+        loc, raw_log_var = shape.unflatten(-1, (self.mixture_components, 2 * dim)).chunk(2, dim=-1)
+        return DiagonalMixture(
             loc, soft_clamp(raw_log_var, *LOG_VAR_RANGE), log_softmax_of_rest(logits)
         )
 
@@ -246,6 +252,20 @@ class DynamicsEnsemble(nn.Module):
             average.copy_(torch.where(blended.isnan(), average, blended))
 
 
+def check_members(num_members: int, members: str) -> None:
+    """Reject ensembles that cannot be.
+
+    Raises:
+        ValueError: If there are fewer than 2 models, or it is unknown which are asked.
+    """
+    if num_members < 2:
+        raise ValueError(
+            f"`num_members` must be at least 2 to measure disagreement, got {num_members}."
+        )
+    if members not in get_args(Members):
+        raise ValueError(f"`members` must be 'round_robin' or 'all', got {members!r}.")
+
+
 @torch.no_grad()
 def count_features(features: Features, observation_dim: int) -> int:
     """Length of what `features` makes of an observation, found by asking it.
@@ -260,23 +280,6 @@ def count_features(features: Features, observation_dim: int) -> int:
             f"got {tuple(value.shape)}."
         )
     return value.shape[1]
-
-
-def _negative_log_likelihood(
-    prediction: Prediction, target: Float[Tensor, "*#members batch dim"]
-) -> Float[Tensor, "members batch"]:
-    log_prob = gaussian_log_prob(
-        target.unsqueeze(-2), prediction.loc, 0.5 * prediction.log_var
-    )  # members batch outcomes
-    return -torch.logsumexp(log_prob + prediction.log_weight, dim=-1)
-
-
-def _quantile(
-    prediction: Prediction, target: Float[Tensor, "*#members batch dim"]
-) -> Float[Tensor, "members batch dim"]:
-    """Probability of a value below the target, in each coordinate: uniform where calibrated."""
-    standard = (target.unsqueeze(-2) - prediction.loc) * torch.exp(-0.5 * prediction.log_var)
-    return (prediction.log_weight.exp().unsqueeze(-1) * torch.special.ndtr(standard)).sum(-2)
 
 
 def soft_clamp(value: Float[Tensor, "*batch"], low: float, high: float) -> Float[Tensor, "*batch"]:

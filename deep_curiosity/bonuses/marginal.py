@@ -7,11 +7,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from deep_curiosity.distributions import gaussian_log_prob
 from deep_curiosity.gaussians import (
+    DiagonalMixture,
     expected_log_density,
-    kl_to_mixture_lower,
-    kl_to_mixture_upper,
+    gaussian_log_prob,
     mixture_log_density,
 )
 from deep_curiosity.speed.precision import matmul_is_float32
@@ -30,9 +29,9 @@ class Information(NamedTuple):
 class NextStateMarginal(nn.Module):
     r"""Mixture of predicted next states with a bandwidth, equations (20) and (24).
 
-    The newest predictions replace the oldest. A nearly deterministic world predicts spikes, and a
-    mixture of spikes has holes: every component is therefore widened by `h^2` times the variance
-    of the component means, which makes the mixture a kernel density estimate.
+    The newest predictions replace the oldest. A nearly deterministic environment predicts spikes,
+    and a mixture of spikes has holes: every component is therefore widened by `h^2` times the
+    variance of the component means, which makes the mixture a kernel density estimate.
 
     Args:
         dim: Number of whitened features of a state.
@@ -51,7 +50,7 @@ class NextStateMarginal(nn.Module):
     loc: Tensor
     log_var: Tensor
     log_weight: Tensor
-    log_spread: Tensor
+    bandwidth_log_var: Tensor
     component_log_var: Tensor
     """Log variance of every component, bandwidth included, `(components, dim)`."""
     num_seen: Tensor
@@ -65,29 +64,16 @@ class NextStateMarginal(nn.Module):
         target_perplexity: float = 8.0,
     ) -> None:
         super().__init__()
-        if components < 2:
-            raise ValueError(f"`components` must be at least 2, got {components}.")
-        named = bandwidth in ("silverman", "perplexity")
-        if not named and not (isinstance(bandwidth, int | float) and 0 < bandwidth < math.inf):
-            raise ValueError(
-                "`bandwidth` must be 'silverman', 'perplexity' or a positive number, "
-                f"got {bandwidth!r}."
-            )
-        if bandwidth == "perplexity" and not 1 < target_perplexity < components:
-            raise ValueError(
-                f"`target_perplexity` must lie between 1 and `components` ({components}), "
-                f"got {target_perplexity}."
-            )
+        _check_components(components, bandwidth, target_perplexity)
         self.bandwidth = bandwidth
         self.target_perplexity = target_perplexity
         self.register_buffer("loc", torch.zeros(components, dim))
         self.register_buffer("log_var", torch.zeros(components, dim))
         self.register_buffer("log_weight", torch.full((components,), -math.inf))
-        self.register_buffer("log_spread", torch.full((dim,), -math.inf))
+        self.register_buffer("bandwidth_log_var", torch.full((dim,), -math.inf))
         self.register_buffer("component_log_var", torch.zeros(components, dim), persistent=False)
         self.register_buffer("num_seen", torch.zeros((), dtype=torch.long))
-        self.is_empty = True
-        """Whether no state has been seen yet."""
+        self._product_dtype = torch.float64  # of products in which many densities are computed
         self._num_seen = 0  # the same as a plain number: to read it waits for no device
         self.register_load_state_dict_post_hook(_restore)
 
@@ -105,35 +91,32 @@ class NextStateMarginal(nn.Module):
         num_filled = min(self._num_seen, components)
         self.log_weight[:num_filled] = -math.log(num_filled)
         self._fit_bandwidth(num_filled)
-        self.is_empty = False
 
-    def kl_upper(
-        self, loc: Float[Tensor, "*batch dim"], log_var: Float[Tensor, "*batch dim"]
-    ) -> Float[Tensor, "*batch"]:
+    @property
+    def is_empty(self) -> bool:
+        """Whether no state has been observed yet."""
+        return self._num_seen == 0
+
+    @property
+    def mixture(self) -> DiagonalMixture:
+        """The density itself: components widened by the bandwidth, with their weights."""
+        return DiagonalMixture(self.loc, self.component_log_var, self.log_weight)
+
+    def kl_upper(self, prediction: DiagonalMixture) -> Float[Tensor, "*batch"]:
         """Upper bound of `KL(prediction || marginal)`, equation (18), in nats.
 
         Every component is widened by the bandwidth, so a float32 product is exact enough, where it
         is float32 indeed.
         """
-        exact = matmul_is_float32(loc.device.type)
-        return kl_to_mixture_upper(
-            loc,
-            log_var,
-            self.loc,
-            self.component_log_var,
-            self.log_weight,
-            product_dtype=torch.float32 if exact else torch.float64,
-        )
+        return prediction.kl_upper(self.mixture, product_dtype=self._product_dtype)
 
-    def kl_lower(
-        self, loc: Float[Tensor, "*batch dim"], log_var: Float[Tensor, "*batch dim"]
-    ) -> Float[Tensor, "*batch"]:
+    def kl_lower(self, prediction: DiagonalMixture) -> Float[Tensor, "*batch"]:
         """Lower bound of `KL(prediction || marginal)`, equation (18), in nats."""
-        return kl_to_mixture_lower(loc, log_var, self.loc, self.component_log_var, self.log_weight)
+        return prediction.kl_lower(self.mixture)
 
     def log_density(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch"]:
         """Log density of next states, in nats."""
-        return mixture_log_density(value, self.loc, self.component_log_var, self.log_weight)
+        return mixture_log_density(value, *self.mixture)
 
     def perplexity(self) -> Float[Tensor, ""]:
         """How many components a component resembles, itself included: `exp` of mean entropy."""
@@ -191,26 +174,28 @@ class NextStateMarginal(nn.Module):
 
     def _fit_bandwidth(self, num_filled: int) -> None:
         """Set the variance that widens every component, `h^2` times the variance of the means."""
-        spread = self.loc[:num_filled].var(0, correction=0).log()
+        log_var = self.loc[:num_filled].var(0, correction=0).log()  # of the component means
         if self.bandwidth == "silverman":
             log_bandwidth = silverman_log_bandwidth(num_filled, self.loc.shape[1])
         elif self.bandwidth == "perplexity":
-            log_bandwidth = self._log_bandwidth_at_target(spread)
+            log_bandwidth = self._log_bandwidth_at_target(log_var)
         else:
             log_bandwidth = math.log(self.bandwidth)
-        self.log_spread.copy_(spread + 2 * log_bandwidth)
+        self.bandwidth_log_var.copy_(log_var + 2 * log_bandwidth)
         self._widen()
 
     def _widen(self) -> None:
         """Widen all components by the bandwidth, once for all questions up to the next refresh."""
-        self.component_log_var.copy_(torch.logaddexp(self.log_var, self.log_spread))
+        exact = matmul_is_float32(self.loc.device.type)
+        self._product_dtype = torch.float32 if exact else torch.float64
+        self.component_log_var.copy_(torch.logaddexp(self.log_var, self.bandwidth_log_var))
 
-    def _log_bandwidth_at_target(self, spread: Tensor) -> float:
+    def _log_bandwidth_at_target(self, log_var: Tensor) -> float:
         """Bisect `log h`: the perplexity grows with it."""
         low, high = LOG_BANDWIDTH_RANGE
         for _ in range(BISECTIONS):
             middle = 0.5 * (low + high)
-            widened = torch.logaddexp(self.log_var, spread + 2 * middle)
+            widened = torch.logaddexp(self.log_var, log_var + 2 * middle)
             if self._perplexity(widened) < self.target_perplexity:
                 low = middle
             else:
@@ -220,10 +205,26 @@ class NextStateMarginal(nn.Module):
 
 def _restore(marginal: NextStateMarginal, _: object) -> None:
     marginal._num_seen = int(marginal.num_seen)
-    marginal.is_empty = marginal._num_seen == 0
     marginal._widen()
 
 
 def silverman_log_bandwidth(num_points: int, dim: int) -> float:
     """Log of Silverman's bandwidth for points of unit variance in `dim` dimensions."""
     return (math.log(4 / (dim + 2)) - math.log(num_points)) / (dim + 4)
+
+
+def _check_components(components: int, bandwidth: float | str, target_perplexity: float) -> None:
+    """Reject a marginal that cannot be."""
+    if components < 2:
+        raise ValueError(f"`components` must be at least 2, got {components}.")
+    named = bandwidth in ("silverman", "perplexity")
+    if not named and not (isinstance(bandwidth, int | float) and 0 < bandwidth < math.inf):
+        raise ValueError(
+            "`bandwidth` must be 'silverman', 'perplexity' or a positive number, "
+            f"got {bandwidth!r}."
+        )
+    if bandwidth == "perplexity" and not 1 < target_perplexity < components:
+        raise ValueError(
+            f"`target_perplexity` must lie between 1 and `components` ({components}), "
+            f"got {target_perplexity}."
+        )

@@ -1,103 +1,44 @@
-"""All bonuses by name, and the small learner that a bonus needs beside an agent."""
+"""All bonuses by name."""
 
-import math
+from collections.abc import Sequence
 from typing import Any
 
-import torch
-from jaxtyping import Float
-from torch import Tensor, nn
+from deep_curiosity.bonuses.base import Bonus
+from deep_curiosity.bonuses.config import BONUS_CONFIGS, bonus_config
+from deep_curiosity.configuration import override
 
-from deep_curiosity.bonuses.base import Bonus, Policy
-from deep_curiosity.bonuses.curiosity import CuriosityBonus
-from deep_curiosity.nn.adam import Adam
-from deep_curiosity.nn.every import Every
-from deep_curiosity.bonuses.baselines import (
-    DisagreementBonus,
-    RNDBonus,
-    HashCountBonus,
-    InformationGainBonus,
-    NearestNeighboursBonus,
-    ICMBonus,
-)
-from deep_curiosity.transitions import Transition, check_counts
-
-BONUSES: dict[str, type[Bonus]] = {
-    "curiosity": CuriosityBonus,
-    "disagreement": DisagreementBonus,
-    "information-gain": InformationGainBonus,
-    "rnd": RNDBonus,
-    "icm": ICMBonus,
-    "nearest-neighbours": NearestNeighboursBonus,
-    "hash-count": HashCountBonus,
-}
-"""Curiosity and its rivals, each with the defaults of its own paper."""
+BONUSES = tuple(name for name in BONUS_CONFIGS if name not in ("constant", "none"))
+"""Curiosity and the baselines that it is compared with, all weighed and standardised alike."""
 
 
-def make_bonus(name: str, observation_dim: int, action_dim: int, **options: Any) -> Bonus:
-    """Make a bonus by its name.
+def make_bonus(
+    name: str,
+    observation_dim: int,
+    action_dim: int,
+    *,
+    hidden_dims: Sequence[int] = (256, 256),
+    **options: Any,
+) -> Bonus:
+    """Make a bonus by its name, by default as the trainer does.
 
     Args:
-        name: A key of `BONUSES`.
+        name: One of `BONUSES`.
         observation_dim: Length of an observation.
         action_dim: Length of an action; actions lie in [-1, 1].
-        **options: Keyword arguments of its class.
+        hidden_dims: Width of every hidden layer of its networks, where it has any.
+        **options: Settings of the bonus by their flat names, such as `bonus_weight`; for curiosity
+            `features` may also be a function or a module.
 
     Raises:
-        ValueError: If the name is unknown.
+        TypeError: If the bonus has no such setting.
+        ValueError: If the name is unknown, or a value out of range.
     """
     if name not in BONUSES:
         raise ValueError(f"`bonus` must be one of {', '.join(BONUSES)}, got {name!r}.")
-    return BONUSES[name](observation_dim, action_dim, **options)
-
-
-class BonusLearner(nn.Module):
-    """A bonus with its optimiser and its every: what an adapter keeps beside an agent.
-
-    Args:
-        bonus: What is learned and asked.
-        learning_rate: Of Adam, for the networks of the bonus.
-        update_interval: Calls of `learn` from one gradient step to the next.
-
-    Raises:
-        ValueError: If the learning rate is not positive or the interval below 1.
-    """
-
-    optimizer: Adam | None
-
-    def __init__(
-        self, bonus: Bonus, *, learning_rate: float = 1e-3, update_interval: int = 1
-    ) -> None:
-        super().__init__()
-        if not 0 < learning_rate < math.inf:
-            raise ValueError(f"`learning_rate` must be positive and finite, got {learning_rate}.")
-        self.bonus = bonus
-        check_counts(update_interval=update_interval)
-        self.every = Every(update_interval)
-        parameters = [part for part in bonus.parameters() if part.requires_grad]
-        self.optimizer = Adam(parameters, learning_rate) if parameters else None
-
-    def learn(self, transition: Transition, policy: Policy | None = None) -> None:
-        """Show the bonus a batch, and at every `update_interval`-th call take a gradient step.
-
-        Args:
-            transition: A batch from replay, or the newest rollout.
-            policy: Draws fresh actions at the batch's observations.
-        """
-        self.bonus.observe(transition, policy)
-        if self.every.is_due:
-            self.fit(transition)
-        self.every.count()
-
-    def fit(self, transition: Transition) -> Float[Tensor, ""]:
-        """Take a gradient step on the networks of the bonus; return the loss before it."""
-        with torch.enable_grad():
-            loss = self.bonus.loss(transition)
-            if self.optimizer is not None:
-                self.optimizer.step(loss)
-        return loss.detach()
-
-    @torch.no_grad()
-    def ask(self, transition: Transition) -> Float[Tensor, " batch"]:
-        """Bonus of each transition as the networks now stand; the reward is not in it."""
-        observation, action, _, next_observation, *_ = transition
-        return self.bonus(observation, action, next_observation)
+    built_with: dict[str, Any] = {}
+    if callable(options.get("features")):
+        built_with["encoder"] = options.pop("features")
+    config = override(bonus_config(name), **options)
+    bonus = config.make(observation_dim, action_dim, hidden_dims, **built_with)
+    assert isinstance(bonus, Bonus)
+    return bonus

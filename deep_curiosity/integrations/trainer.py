@@ -1,6 +1,5 @@
 """The trainer's own agent, as the check handles it."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,33 +10,31 @@ from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.integrations.base import Integration
 from deep_curiosity.replay import ReplayBuffer
 from deep_curiosity.training.checkpoint import load_checkpoint, save_checkpoint
-from deep_curiosity.training.collector import Collector, EnvironmentSteps
+from deep_curiosity.training.collector import Collector
+from deep_curiosity.training.config import Config
 from deep_curiosity.training.environments import action_dim, make_environment, observation_dim
 from deep_curiosity.training.learner import Learner
-from deep_curiosity.training.config import Settings
 from deep_curiosity.transitions import Transition
 
 
 class LearnerIntegration(Integration):
-    """A learner in an environment of its own, one world, eager.
+    """A learner in an environment of its own, eager.
 
     Args:
-        settings: Of the run.
+        config: Settings of the run.
 
     Raises:
         ValueError: If the run has no bonus.
     """
 
-    def __init__(self, settings: Settings) -> None:
-        self.settings = replace(settings, num_envs=1, compile="off")
-        self.environment = make_environment(
-            settings.env_id, settings.env_kwargs, history=settings.history
-        )
+    def __init__(self, config: Config) -> None:
+        self.config = config.override(num_envs=1, vectorization="auto", compile="off")
+        self.environment = make_environment(self.config.environment)
         self._sizes = observation_dim(self.environment), action_dim(self.environment)
-        torch.manual_seed(settings.seed)
-        self.learner = Learner(self.settings, *self._sizes)
+        torch.manual_seed(config.run.seed)
+        self.learner = Learner(self.config, *self._sizes)
         if self.learner.bonus is None:
-            raise ValueError(f"`bonus` must not be 'none' to be checked, got {settings.bonus!r}.")
+            raise ValueError("`bonus` must not be 'none' to be checked, got 'none'.")
 
     @property
     def bonus(self) -> Bonus:
@@ -54,9 +51,9 @@ class LearnerIntegration(Integration):
             step, _ = collector.step(self.learner.act(collector.observation))
             self.learner.store(step)
             steps.append(step)
-        given = ReplayBuffer(num_steps, *self._sizes)
-        given.extend(*EnvironmentSteps(*map(np.array, zip(*steps, strict=True))))
-        return given.all()
+        recorded = ReplayBuffer(num_steps, *self._sizes)
+        recorded.extend(*map(np.concatenate, zip(*steps, strict=True)))
+        return recorded.all()
 
     def stored(self) -> Transition:
         """All of replay."""
@@ -81,6 +78,6 @@ class LearnerIntegration(Integration):
 
     def load(self, folder: Path) -> "LearnerIntegration":
         """A learner from the checkpoint."""
-        other = LearnerIntegration(self.settings)
+        other = LearnerIntegration(self.config)
         other.learner.load_state_dict(load_checkpoint(folder))
         return other

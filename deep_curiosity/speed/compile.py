@@ -1,13 +1,16 @@
 """Compiling an update into one graph: losses, their gradients and the optimisers' steps."""
 
+import copyreg
 from collections.abc import Callable
-from functools import partial, wraps
+from functools import cache, partial, wraps
 from inspect import ismethod
 from types import CodeType, FunctionType
 from typing import Any, ParamSpec, TypeVar
 
 import torch
+from torch import nn
 
+from deep_curiosity.speed.config import SpeedConfig
 from deep_curiosity.speed.matmul import direct_matmul
 
 Inputs = ParamSpec("Inputs")
@@ -19,24 +22,27 @@ CPP_WRAPPER_SINCE = "2.13"  # torch before it has not been tried
 def compiled(
     function: Callable[Inputs, Output],
     *,
-    device: str | torch.device = "cpu",
+    speed: SpeedConfig | None = None,
     fall_back: bool = False,
 ) -> Callable[Inputs, Output]:
     """Compile a function that takes gradients and steps optimisers inside.
 
     Random numbers are drawn as in eager mode, so that a seed means the same in both. After the
     first calls nothing is checked any more: shapes, kinds and attributes must stay as they were.
+    To set an attribute of a module that belongs to the function's owner raises an error from then
+    on, since the graph would not follow; parameters, buffers and properties may be set.
 
     Args:
         function: Free of Python that looks at values of tensors.
-        device: Where all tensors are. On a GPU torch is asked for a CUDA graph, whose outputs live
-            until the next call.
+        speed: Where all tensors are, and what the compiler may do. On a GPU torch is asked for a
+            CUDA graph, whose outputs live until the next call.
         fall_back: Run the function as it is where it cannot be compiled; otherwise torch's error
             is raised.
     """
     plain, owner = _apart(function)
-    device = torch.device(device)
-    graph = torch.compile(plain, fullgraph=True, dynamic=False, options=_options(device))
+    speed = SpeedConfig() if speed is None else speed
+    device = torch.device(speed.device)
+    graph = torch.compile(plain, fullgraph=True, dynamic=False, options=_options(speed))
     settled: Callable[..., Output] | None = None
     calls = 0
 
@@ -58,6 +64,8 @@ def compiled(
         if calls == WARM_UP:
             alone = _graph_alone(plain) if device.type == "cpu" else None
             settled = partial(alone or _unchecked(graph), *owner)
+            for each in owner:
+                seal_modules(each)
         return result
 
     return run
@@ -120,14 +128,15 @@ def _unchecked(graph: Callable[..., Output]) -> Callable[..., Output]:
     return run
 
 
-def _options(device: torch.device) -> dict[str, Any]:
-    from deep_curiosity.speed.deduplication import Deduplication  # on request: torch's compiler is big
+def _options(speed: SpeedConfig) -> dict[str, Any]:
+    options: dict[str, Any] = {"fallback_random": True}
+    if speed.deduplicate:
+        from deep_curiosity.speed.deduplication import (  # on request: torch's compiler is big
+            Deduplication,
+        )
 
-    options: dict[str, Any] = {
-        "fallback_random": True,
-        "post_grad_custom_pre_pass": Deduplication(),
-    }
-    if device.type == "cuda":
+        options["post_grad_custom_pre_pass"] = Deduplication()
+    if torch.device(speed.device).type == "cuda":
         return options | {
             "triton.cudagraphs": True,
             "graph_partition": False,
@@ -137,4 +146,35 @@ def _options(device: torch.device) -> dict[str, Any]:
     if torch.__version__ < CPP_WRAPPER_SINCE:
         return options
     # what calls the kernels is C++ then, as they are
-    return options | {"cpp_wrapper": True} | direct_matmul()
+    return options | {"cpp_wrapper": True} | (direct_matmul() if speed.direct_matmul else {})
+
+
+def seal_modules(owner: object) -> None:
+    """Let the attributes of all modules that an object holds be set no more."""
+    held = [owner] if isinstance(owner, nn.Module) else vars(owner).values()
+    for module in held:
+        if isinstance(module, nn.Module):
+            for part in module.modules():
+                part.__class__ = _sealed(type(part))
+
+
+@cache
+def _sealed(kind: type[nn.Module]) -> type[nn.Module]:
+    """A class like another whose instances refuse to have plain public attributes set."""
+    if hasattr(kind, "_sealed_from"):
+        return kind
+
+    def refuse(module: nn.Module, name: str, value: Any) -> None:
+        swallowed = name in vars(module) and not name.startswith("_") and name != "training"
+        if swallowed:
+            raise AttributeError(
+                f"`{name}` of this {kind.__name__} is part of a compiled update, which would not "
+                f"follow; set it before the first update, or compile nothing, got {value!r}."
+            )
+        kind.__setattr__(module, name, value)
+
+    def unsealed(module: nn.Module) -> tuple[Any, ...]:
+        return copyreg.__newobj__, (kind,), vars(module)  # type: ignore[attr-defined]
+
+    body = {"__setattr__": refuse, "_sealed_from": kind, "__reduce__": unsealed}
+    return type(kind.__name__, (kind,), body)

@@ -1,46 +1,50 @@
-"""Fitting a training process to its machine: matrix products, memory, device, compiler.
-
-All of it concerns the whole process, so scripts do it and the library never does.
-"""
+"""Fitting a training process to its machine for as long as it trains, and restoring it after."""
 
 import os
 import shutil
 import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from typing import Literal
 
 import torch
 
+from deep_curiosity.speed.config import SpeedConfig
+from deep_curiosity.speed.malloc import memory_kept
 from deep_curiosity.speed.precision import FLOAT32_ERROR, matmul_error
-from deep_curiosity.speed.malloc import settle_memory
-from deep_curiosity.training.config import Settings
 
 MatmulPrecision = Literal["highest", "high", "medium"]
 PRECISIONS: tuple[MatmulPrecision, ...] = ("highest", "high", "medium")
 WORTH_COMPILING = 5_000  # updates, after which what compiling took is won back
 
 
-def prepare_machine(settings: Settings) -> MatmulPrecision:
-    """Set threads, matrix precision and allocation for a run, and say so in a line.
+@contextmanager
+def fitted_machine(config: SpeedConfig) -> Iterator[MatmulPrecision]:
+    """Set threads, matrix precision and allocation inside the block, as they were behind it.
 
-    Returns:
-        The precision, which with `"auto"` is for the clock to choose.
+    Yields:
+        The precision of matrix products, which with `"auto"` is for the clock to choose.
     """
-    torch.set_num_threads(settings.threads)
-    settle_memory()
-    precision = choose_matmul_precision(settings.matmul_precision, settings.device)
-    torch.set_float32_matmul_precision(precision)
-    error = matmul_error(settings.device)
-    how = "compiled" if should_compile(settings) else "eager"
-    print(f"Matrix products {precision}, relative error {error:.1e}; updates {how}", flush=True)
-    return precision
+    threads, precision = torch.get_num_threads(), torch.get_float32_matmul_precision()
+    with ExitStack() as stack:
+        if config.keep_memory:
+            stack.enter_context(memory_kept())
+        try:
+            torch.set_num_threads(config.threads)
+            chosen = choose_matmul_precision(config.matmul_precision, config.device)
+            torch.set_float32_matmul_precision(chosen)
+            yield chosen
+        finally:
+            torch.set_num_threads(threads)
+            torch.set_float32_matmul_precision(precision)
 
 
-def choose_matmul_precision(asked: str, device: str = "cpu") -> MatmulPrecision:
-    """The precision asked for, or with `"auto"` the fastest that is float32 on this machine."""
+def choose_matmul_precision(wanted: str, device: str = "cpu") -> MatmulPrecision:
+    """The precision wanted, or with `"auto"` the fastest that is float32 on this machine."""
     before = torch.get_float32_matmul_precision()
     rates: dict[MatmulPrecision, float] = {}
     for precision in PRECISIONS:
-        if asked == precision:
+        if wanted == precision:
             return precision
         torch.set_float32_matmul_precision(precision)
         if matmul_error(device) < FLOAT32_ERROR:
@@ -53,7 +57,8 @@ def matmul_rate(
     members: int = 4, size: int = 256, *, device: str = "cpu", repeats: int = 20
 ) -> float:
     """Floating-point operations per second of a batched product, the best of some repeats."""
-    left, right = torch.randn(2, members, size, size, device=device)
+    generator = torch.Generator().manual_seed(0)  # leaves the global stream where it is
+    left, right = torch.randn(2, members, size, size, generator=generator).to(device)
     seconds = []
     for _ in range(repeats):
         wait_for(device)
@@ -64,12 +69,11 @@ def matmul_rate(
     return 2 * members * size**3 / min(seconds)
 
 
-def should_compile(settings: Settings) -> bool:
-    """Whether the updates of a run are to be compiled; `"auto"` asks if it is worth its time."""
-    if settings.compile != "auto":
-        return settings.compile == "on"
-    num_updates = (settings.total_steps - settings.learning_starts) * settings.update_to_data
-    return num_updates >= WORTH_COMPILING and _has_compiler(settings.device)
+def should_compile(config: SpeedConfig, num_updates: float) -> bool:
+    """Whether so many updates are to be compiled; `"auto"` asks if it is worth its time."""
+    if config.compile != "auto":
+        return config.compile == "on"
+    return num_updates >= WORTH_COMPILING and _has_compiler(config.device)
 
 
 def _has_compiler(device: str) -> bool:

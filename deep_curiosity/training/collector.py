@@ -10,9 +10,10 @@ import torch
 from gymnasium.vector import AutoresetMode, VectorEnv
 from torch import Tensor
 
-from deep_curiosity_envs.clock import clock_stopped
+from deep_curiosity.training.single_environment import SingleEnvironment
 
 Info = Mapping[str, Any]
+"""Entries of the info of every environment, `(num_envs,)` each."""
 Policy = Callable[[Tensor, Info], Tensor]
 """Observations `(batch, observation_dim)`, and the info that came with them, to actions
 `(batch, action_dim)`."""
@@ -24,29 +25,11 @@ class Episode(NamedTuple):
     episode_return: float = 0.0
     length: int = 0
     success: float = math.nan
-    """1 once the task said `is_success`, 0 while it says not; NaN where it never speaks of it."""
-
-    def after(self, reward: float, info: dict[str, Any]) -> "Episode":
-        """The episode one step later."""
-        success = self.success
-        if "is_success" in info:
-            success = float(success == 1.0 or bool(info["is_success"]))
-        return Episode(self.episode_return + float(reward), self.length + 1, success)
+    """1 once `info["is_success"]` was true, 0 while it is not; NaN where there is no such entry."""
 
 
-class EnvironmentStep(NamedTuple):
-    """One step as the environment gave it, in the order in which replay takes it."""
-
-    observation: np.ndarray
-    action: np.ndarray
-    reward: float
-    next_observation: np.ndarray
-    terminated: bool
-    truncated: bool
-
-
-class EnvironmentSteps(NamedTuple):
-    """One step of each of several worlds, their axis leading."""
+class Step(NamedTuple):
+    """One step of each of several environments, their axis leading, as they gave it."""
 
     observation: np.ndarray
     action: np.ndarray
@@ -57,119 +40,55 @@ class EnvironmentSteps(NamedTuple):
 
 
 class Collector:
-    """Steps an environment from episode to episode.
+    """Steps one environment, or several side by side, each from episode to episode.
 
-    Every episode is reset with a seed of its own, so that the state of the world at any step is a
-    function of that seed and the actions since: enough to come back to it in any environment.
-
-    Args:
-        environment: Takes actions in [-1, 1].
-        seed: Together with the number of the episode it seeds every reset.
-    """
-
-    def __init__(self, environment: gymnasium.Env, seed: int) -> None:
-        self.environment = environment
-        self.seed = seed
-        self.num_episodes = 0
-        self.observation: np.ndarray
-        self.actions: list[np.ndarray]
-        self.episode: Episode
-        self.info: dict[str, Any] = {}
-        """What the environment said of the newest step."""
-        self.present_info: dict[str, Any]
-        """What it said with `observation`: the same, or what the reset after it said."""
-        self._start()
-
-    def step(self, action: np.ndarray) -> tuple[EnvironmentStep, list[Episode]]:
-        """Step the environment; return the step, and the episode if this step ended it."""
-        with clock_stopped():
-            next_observation, reward, terminated, truncated, self.info = self.environment.step(
-                action
-            )
-        step = EnvironmentStep(
-            self.observation, action, float(reward), next_observation, terminated, truncated
-        )
-        self.actions.append(np.array(action))
-        self.episode = self.episode.after(float(reward), self.info)
-        self.observation, self.present_info = next_observation, self.info
-        if not (terminated or truncated):
-            return step, []
-        finished = self.episode
-        self.num_episodes += 1
-        self._start()
-        return step, [finished]
-
-    def state_dict(self) -> dict[str, Any]:
-        """Number of the episode and the actions taken in it."""
-        return {
-            "num_episodes": self.num_episodes,
-            "actions": [torch.from_numpy(action) for action in self.actions],
-            "observation": torch.from_numpy(np.array(self.observation)),
-        }
-
-    def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Come back to a step by acting again what was acted since the reset.
-
-        Raises:
-            RuntimeError: If the environment does not come back to the same observation.
-        """
-        self.num_episodes = state["num_episodes"]
-        self._start()
-        for action in state["actions"]:
-            self.step(action.numpy())
-        _check_repeated(self.observation, state["observation"].numpy(), len(self.actions))
-
-    def _start(self) -> None:
-        seed = _episode_seed(self.seed, self.num_episodes)
-        self.observation, self.present_info = self.environment.reset(seed=seed)
-        self.actions = []
-        self.episode = Episode()
-
-
-class VectorCollector:
-    """Steps several worlds side by side, each from episode to episode.
-
-    Episodes are numbered in the order in which they begin, in whichever world, and reset with a
-    seed of their own, as in `Collector`. So a resumed run comes back to every world's step in any
-    vector environment whose worlds repeat themselves, native, in turn or in processes.
+    Episodes are numbered in the order in which they begin, in whichever environment, and every one
+    is reset with a seed of its own, so that the state of an environment at any step is a function
+    of that seed and the actions since: enough to come back to it in any vector environment whose
+    environments repeat themselves, native, one after another or in processes.
 
     Args:
-        environment: Takes actions in [-1, 1]; its autoreset is disabled, so that what a step
-            returns is the true successor also where an episode ends.
+        environment: Takes actions in [-1, 1]; autoreset of a vector environment is disabled, so
+            that what a step returns is the true successor also where an episode ends.
         seed: Together with the number of the episode it seeds every reset.
 
     Raises:
         ValueError: If the environment resets by itself.
     """
 
-    def __init__(self, environment: VectorEnv, seed: int) -> None:
+    def __init__(self, environment: gymnasium.Env | VectorEnv, seed: int) -> None:
+        if not isinstance(environment, VectorEnv):
+            environment = SingleEnvironment(environment)
         mode = environment.metadata.get("autoreset_mode")
         if mode is not AutoresetMode.DISABLED:
             raise ValueError(f"`environment` must have its autoreset disabled, got {mode}.")
         self.environment = environment
         self.seed = seed
         self.num_episodes = 0
-        """Begun so far, in all worlds."""
+        """Begun so far, in all environments."""
         self.info: dict[str, Any] = {}
-        """What the worlds said of the newest step."""
+        """Info of the newest step."""
         self.present_info: dict[str, Any] = {}
-        """What they said with `observation`: the same, or what the reset after it said."""
+        """Info that came with `observation`: the same, or that of the reset after the step."""
         self.actions: list[np.ndarray] = []
-        """Of all worlds, `(num_envs, action_dim)` each, since the oldest episode began."""
-        self._number = np.zeros(environment.num_envs, dtype=int)  # of the episode in each world
-        self._length = np.zeros(environment.num_envs, dtype=int)
-        self._return = np.zeros(environment.num_envs)
-        self._success = np.zeros(environment.num_envs)
+        """Of all environments, `(num_envs, action_dim)` each, since the oldest episode began."""
+        num_envs = environment.num_envs
+        self._number = np.zeros(num_envs, dtype=int)  # of the episode in each environment
+        self._length = np.zeros(num_envs, dtype=int)
+        self._return = np.zeros(num_envs)
+        self._success = np.zeros(num_envs)
         space = environment.observation_space
         self.observation = np.zeros(space.shape or (), dtype=space.dtype)
-        self._start(np.ones(environment.num_envs, dtype=bool))
+        self._start(np.ones(num_envs, dtype=bool))
 
-    def step(self, action: np.ndarray) -> tuple[EnvironmentSteps, list[Episode]]:
-        """Step every world once; return the steps, and the episodes that they ended."""
+    def step(self, action: np.ndarray) -> tuple[Step, list[Episode]]:
+        """Step every environment once; return the step, and the episodes that it ended.
+
+        Args:
+            action: `(num_envs, action_dim)`.
+        """
         next_observation, reward, terminated, truncated, self.info = self.environment.step(action)
-        steps = EnvironmentSteps(
-            self.observation, action, reward, next_observation, terminated, truncated
-        )
+        step = Step(self.observation, action, reward, next_observation, terminated, truncated)
         self.actions.append(np.array(action))
         self._length += 1
         self._return += reward
@@ -177,15 +96,17 @@ class VectorCollector:
             self._success = np.fmax(self._success, self.info["is_success"])
         self.observation, self.present_info = next_observation, self.info
         done = terminated | truncated
+        if not done.any():
+            return step, []
         finished = [
             Episode(float(self._return[i]), int(self._length[i]), float(self._success[i]))
             for i in np.flatnonzero(done)
         ]
         self._start(done)
-        return steps, finished
+        return step, finished
 
     def state_dict(self) -> dict[str, Any]:
-        """Number and length of the episode in every world, and the actions taken in them."""
+        """Number and length of the episode in every environment, and the actions taken in them."""
         return {
             "num_episodes": self.num_episodes,
             "number": torch.tensor(self._number),
@@ -195,10 +116,10 @@ class VectorCollector:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Come back to a step by acting again, each world joining where its episode began.
+        """Come back to a step by acting again, each environment joining where its episode began.
 
         Raises:
-            RuntimeError: If a world does not come back to the same observation.
+            RuntimeError: If an environment does not come back to the same observation.
         """
         number, length = state["number"].numpy(), state["length"].numpy()
         oldest = len(state["actions"])
@@ -217,18 +138,18 @@ class VectorCollector:
             number = self.num_episodes + np.cumsum(mask) - 1
             self.num_episodes += int(mask.sum())
         self._number[mask] = number[mask]
-        start, told = self.environment.reset(
+        start, info = self.environment.reset(
             seed=[  # type: ignore[arg-type]  # every vector environment takes a list
-                _episode_seed(self.seed, int(number[world])) if chosen else None
-                for world, chosen in enumerate(mask)
+                _episode_seed(self.seed, int(number[index])) if chosen else None
+                for index, chosen in enumerate(mask)
             ],
             options={"reset_mask": mask},
         )
         self.observation = np.where(mask[:, None], start, self.observation)
         self.present_info = self.present_info | {
             name: np.where(mask, value, self.present_info.get(name, value))
-            for name, value in told.items()
-            if np.shape(value) == mask.shape  # one for each world
+            for name, value in info.items()
+            if np.shape(value) == mask.shape  # one for each environment
         }
         self._length[mask], self._return[mask], self._success[mask] = 0, 0.0, math.nan
         self.actions = self.actions[len(self.actions) - self._length.max() :]
@@ -255,12 +176,12 @@ def evaluate(
         act: The policy.
         environment: Apart from the one that is trained on.
         episodes: How many.
-        seed: Of their resets.
+        seed: Seed of their resets.
     """
     collector = Collector(environment, seed)
     finished: list[Episode] = []
     while len(finished) < episodes:
-        action = act(as_batch(collector.observation), collector.present_info)[0].numpy()
+        action = act(as_batch(collector.observation), collector.present_info).numpy()
         finished += collector.step(action)[1]
     return finished
 

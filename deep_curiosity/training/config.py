@@ -1,164 +1,76 @@
-"""What a run is made of: one dataclass, whose comments are the command line's help."""
+"""Settings of a training run: nested dataclasses, whose comments are the command line's help."""
 
-import math
-from dataclasses import dataclass, field, fields
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin
+from typing import Any, Literal, Self
 
 import torch
 
-from deep_curiosity.bonuses.registry import BONUSES
+from deep_curiosity.agent.config import AgentConfig, CuriosityValueConfig
+from deep_curiosity.bonuses.config import BonusConfig, CuriosityConfig, bonus_config
+from deep_curiosity.configuration import Group, as_plain, changes, flat, override, setting
+from deep_curiosity.speed.config import SpeedConfig
 
-SCORES_OUTCOMES = [name for name, kind in BONUSES.items() if kind.scores_outcomes]
-"""Bonuses that are told what has happened, and cannot be climbed by the action."""
-EXACT: dict[str, Any] = {
-    "member_per_row": False,
-    "actor_stride": 1,
-    "critic_per_row": False,
-    "refresh_interval": 10,
+PRESETS: dict[str, dict[str, Any]] = {
+    "fast": {},
+    "exact": {
+        "members": "all",
+        "actor_q": "min",
+        "actor_batch_fraction": 1.0,
+        "refresh_interval": 10,
+    },
+    "paper": {
+        "members": "all",
+        "actor_q": "min",
+        "actor_batch_fraction": 1.0,
+        "refresh_interval": 1,
+    },
 }
-"""Settings by which every network learns from the whole of every batch, as the library does."""
+"""Settings of how networks sample a batch: the default; every network learns from the whole of
+every batch; and besides, p(x') is renewed at every update, as the paper's (24) is."""
 
 
 @dataclass(frozen=True)
-class Settings:
-    """Settings of one training run."""
+class EnvironmentConfig(Group):
+    """The task, and how it is stepped."""
 
     env_id: str = "deep_curiosity/PendulumSwingup-v0"
     """Task: one of ours, a gymnasium id such as HalfCheetah-v5, or dm_control/DOMAIN-TASK-v0."""
-    env_kwargs: dict[str, float] = field(default_factory=dict)
+    env_kwargs: dict[str, float] = setting({})
     """Keyword arguments of the environment, such as: action_cost 0.1"""
-    history: int = 1
+    frame_stack: int = 1
     """Observations shown to the agent together, with the actions between them."""
-    total_steps: int = 20_000
-    """Environment steps, over all worlds and resumed parts together; a resumed run keeps its own
-    number unless another is given."""
     num_envs: int = 1
-    """Worlds that are stepped side by side; all steps and intervals count over all of them, and
-    are rounded up to whole steps of each."""
+    """Environments that are stepped side by side; all steps and intervals count over all of them,
+    and are rounded up to whole steps of each."""
     vectorization: Literal["auto", "native", "sync", "async"] = "auto"
-    """How several worlds are stepped: by MuJoCo in one call (our own tasks), in turn, or each in a
-    process of its own; auto is native where it can be, else sync."""
-    update_to_data: float = 1.0
-    """Updates per environment step once learning has begun; 0.25 is one at every fourth step."""
-    seed: int = 0
+    """How several environments are stepped: by MuJoCo in one call (our own tasks), one after
+    another, or each in a process of its own; auto is native where it can be, else sync."""
+
+
+@dataclass(frozen=True)
+class RunConfig(Group):
+    """The course of the run."""
+
+    total_steps: int = 20_000
+    """Environment steps, over all environments and resumed parts together."""
+    seed: int = setting(0, at_least=0)
     """Seeds torch, the environments and the replay."""
     out: Path = Path("runs/latest")
     """Folder that receives the run; must not hold one already."""
-    resume: Path | None = None
-    """Folder of a run to continue, in place; its own settings hold, but for total_steps."""
-
-    bonus: Literal[
-        "curiosity",
-        "disagreement",
-        "information-gain",
-        "rnd",
-        "icm",
-        "nearest-neighbours",
-        "hash-count",
-        "constant",
-        "none",
-    ] = "curiosity"
-    """Curiosity; a rival, centred and scaled as curiosity is; the same constant for every step (a
-    control); or plain soft actor-critic."""
-    bonus_weight: float = 0.1
-    """Factor of the standardised bonus, the first one where it is tuned."""
-    tune_bonus_weight: float | Literal["past"] | None = None
-    """Let curiosity's weight rise while the policy earns less than: past, what it earned of late;
-    or so many nats."""
-    bonus_parts: dict[str, float] = field(default_factory=dict)
-    """Weights of what curiosity is made of, instead of D as a whole: predictive_power,
-    information_gain, negative_entropy, cross_entropy; such as: information_gain 1"""
-    curiosity_discount: float = 0.97
-    """Discount of the bonus per step; 0 climbs the bonus itself, as the paper writes it."""
-    exploration: Literal["policy", "gsde", "pink", "ou"] = "policy"
-    """Noise of the actions: the policy's own draws, or draws that hang together in time: linear in
-    the policy's last hidden layer (gSDE), pink, or an Ornstein-Uhlenbeck process."""
-    hunger: float = 1.0
-    """Weight of the extrinsic value, alpha; the first one where it goes with time."""
-    hunger_control: Literal[
-        "constant", "linear", "exponential", "dial", "draws", "bandit", "battery"
-    ] = "constant"
-    """Who says how hungry the agent is: it stays; it goes to final_hunger; or policy and critics
-    are told it and learn every hunger from 0 to 1 at once, where it is held, drawn for each
-    episode, chosen by a bandit for what it earns, or read off a battery."""
-    final_hunger: float = 10.0
-    """Hunger at the end of a schedule."""
-    battery: int | str = -1
-    """Entry of the observation, or of info, that holds the charge of the battery, from 0 to 1."""
-    curiosity_ends: int | None = None
-    """Step from which only reward counts; by default none."""
-    curiosity_steps: int = 1
-    """Steps of bonus that are summed before the curiosity value is trusted."""
-    curiosity_episodic: bool = True
-    """End the curiosity value where the world ends; otherwise it looks past the end."""
-    yielding: bool = True
-    """Let curiosity fade as reward comes to tell states apart."""
-    prior: Literal["uniform", "learned"] = "uniform"
-    """Action prior: flat as in soft actor-critic, or the learned action marginal."""
-    temperature: float = 0.02
-    """Price of a nat, lambda; the initial one where it is tuned."""
-    temperature_control: Literal["rate", "constant", "linear", "exponential", "annealing"] = "rate"
-    """What the temperature does: hold the target information rate; stay; or go to
-    final_temperature, straight, by the same factor at every step, or so in ten plateaus."""
-    final_temperature: float = 0.002
-    """Temperature at the end of a schedule, lambda_min."""
-    target_information_rate: float | None = None
-    """Nats per action away from the prior; by default 1.69 (uniform) or 1 (learned) per action
-    dimension."""
-    discount: float = 0.99
-    """Discount of the extrinsic reward per step."""
-    reward_steps: int = 1
-    """Steps of reward that are summed before the extrinsic value is trusted."""
-    learning_rate: float = 1e-3
-    """Of Adam, for policy, critics, prior and temperature."""
-    polyak: float = 0.02
-    """Share of the critics that moves into the target critics at each update."""
+    learning_starts: int = setting(500, at_least=0)
+    """Steps of uniformly random actions before the first update."""
+    update_to_data: float = setting(1.0, above=0)
+    """Updates per environment step once learning has begun; 0.25 is one at every fourth step."""
     batch_size: int = 256
     """Transitions in an update."""
-    actor_stride: int = 2
-    """Policy, prior and temperature learn from one in as many transitions of a batch; critics and
-    models from them all."""
-    critic_per_row: bool = True
-    """Let the policy climb one critic of each pair at each transition, in turn, instead of the
-    smaller of both; critics learn from the smaller either way."""
-    hidden_dim: int = 256
-    """Width of the two hidden layers of policy, critics and models."""
-    policy_modes: int = 1
-    """Gaussians that make up the policy; an optimum with two peaks needs two."""
-
-    members: int = 5
-    """Models in the dynamics ensemble."""
-    outcomes: int = 1
-    """Gaussians that make up a prediction; a next state that is one of two needs two."""
-    model_learning_rate: float = 1e-3
-    """Of Adam, for the models."""
-    features: tuple[int, ...] = ()
-    """Entries of the observation that curiosity is about, from the end where negative; all by
-    default, or with a history the two newest observations."""
-    noise_floor: float = 0.05
-    """Resolution at which the agent sees, in standard deviations of the observation."""
-    whitening: Literal["moments", "robust"] = "moments"
-    """Unit of the observation's entries: standard deviation, or interquartile range, which heavy
-    tails do not move."""
-    components: int = 256
-    """Next states that make up the marginal."""
-    marginal_horizon: int | None = None
-    """Newest transitions from which the marginal is formed; all of replay by default."""
-    marginal_forgetting: Literal["window", "exponential"] = "window"
-    """How the others are forgotten where there is a horizon: at once, or by half with every such
-    number of newer ones."""
-    bandwidth: float | Literal["silverman", "perplexity"] = "silverman"
-    """Width of the marginal's kernels."""
-    refresh_interval: int = 20
-    """Updates from one renewal of the marginal and of the statistics that whiten to the next."""
-    member_per_row: bool = True
-    """Let each transition train one model, and ask one for its bonus, in turn, instead of all."""
-
-    learning_starts: int = 500
-    """Steps of uniformly random actions before the first update."""
     replay_capacity: int = 1_000_000
     """Transitions kept; memory is taken only as they come."""
+    exploration: Literal["policy", "gsde", "pink", "ou"] = "policy"
+    """Noise of the actions: the policy's own samples, or noise that is correlated in time: linear
+    in the policy's last hidden layer (gSDE), pink, or an Ornstein-Uhlenbeck process."""
     log_interval: int = 500
     """Steps from one row of progress.csv to the next."""
     evaluation_interval: int = 2_000
@@ -167,76 +79,155 @@ class Settings:
     """Episodes of the deterministic policy in each evaluation."""
     checkpoint_interval: int = 5_000
     """Steps from one checkpoint to the next; there is always one at the end."""
-    threads: int = 1
-    """CPU threads of torch; two are often slower than one for networks of this size."""
-    device: str = "cpu"
-    """Where replay, updates and bonus live: cpu, or cuda."""
-    compile: Literal["auto", "on", "off"] = "auto"
-    """Compile the updates, which takes half a minute at the start; auto does so for long runs."""
-    matmul_precision: Literal["auto", "highest", "high", "medium"] = "auto"
-    """Torch's switch for float32 matrix products; auto takes the fastest that is float32."""
 
-    @property
-    def has_dial(self) -> bool:
-        """Whether policy and critics are told the hunger."""
-        return self.hunger_control in ("dial", "draws", "bandit", "battery")
+
+@dataclass(frozen=True)
+class Config(Group):
+    """All settings of a training run.
+
+    `Config.of(env_id="PointMaze", bonus="rnd")` sets some of them by their flat names, as on the
+    command line.
+    """
+
+    environment: EnvironmentConfig = field(default_factory=EnvironmentConfig)
+    run: RunConfig = field(default_factory=RunConfig)
+    bonus: BonusConfig = field(default_factory=CuriosityConfig)
+    agent: AgentConfig = field(default_factory=AgentConfig)
+    speed: SpeedConfig = field(default_factory=SpeedConfig)
 
     def __post_init__(self) -> None:
-        """Reject what no run could be made of.
+        """Refuse a run that cannot be, or a setting that would do nothing in it.
 
         Raises:
+            TypeError: If a value has the wrong type.
             ValueError: Naming the setting, the rule and the value.
         """
-        for setting in fields(self):
-            value = getattr(self, setting.name)
-            if (
-                setting.type is int
-                and setting.name not in ("seed", "learning_starts")
-                and value < 1
-            ):
-                raise ValueError(f"`{setting.name}` must be at least 1, got {value}.")
-            if setting.type is float and not math.isfinite(value):
-                raise ValueError(f"`{setting.name}` must be finite, got {value}.")
-            if get_origin(setting.type) is Literal and value not in get_args(setting.type):
-                known = get_args(setting.type)
-                raise ValueError(f"`{setting.name}` must be one of {known}, got {value!r}.")
-        device_type = self.device.split(":")[0]
-        if device_type not in ("cpu", "cuda"):
-            raise ValueError(f"`device` must be cpu or cuda, got {self.device!r}.")
-        if device_type == "cuda" and not torch.cuda.is_available():
-            raise ValueError(f"`device` must be one that torch can use here, got {self.device!r}.")
-        for name in ("seed", "learning_starts"):
-            if getattr(self, name) < 0:
-                raise ValueError(f"`{name}` must not be negative, got {getattr(self, name)}.")
-        if self.marginal_horizon is not None and self.marginal_horizon < 1:
+        super().__post_init__()
+        if self.run.learning_starts >= self.run.total_steps:
             raise ValueError(
-                f"`marginal_horizon` must be at least 1, got {self.marginal_horizon}."
+                f"`total_steps` must be above `learning_starts` ({self.run.learning_starts}), or "
+                f"nothing is ever learned, got {self.run.total_steps}."
             )
-        if self.marginal_horizon is None and self.marginal_forgetting != "window":
+        if self.run.exploration != "policy" and self.agent.mixture_components > 1:
             raise ValueError(
-                "`marginal_forgetting` must be 'window' where no `marginal_horizon` is set, "
-                f"got {self.marginal_forgetting!r}."
+                "`exploration` must be 'policy' for a policy of "
+                f"{self.agent.mixture_components} mixture components, got {self.run.exploration!r}."
             )
-        if self.exploration != "policy" and self.policy_modes > 1:
+        if self.agent.curiosity.discount == 0 and self.bonus.scores_outcomes:
             raise ValueError(
-                f"`exploration` must be 'policy' for {self.policy_modes} policy modes, "
-                f"got {self.exploration!r}."
+                f"`curiosity_discount` must be above 0 for the bonus {self.bonus.kind}, which has "
+                "no gradient in the action, got 0."
             )
-        if self.curiosity_discount == 0 and self.bonus in SCORES_OUTCOMES:
+        _check_device(self.speed.device)
+        _refuse_idle_settings(self)
+
+    @classmethod
+    def of(cls, preset: str = "fast", **values: Any) -> Self:
+        """The default configuration with some settings changed, by their flat names.
+
+        Args:
+            preset: How networks sample a batch, a key of `PRESETS`.
+            **values: Settings; `bonus` may be a name.
+
+        Raises:
+            TypeError: If there is no such setting, or a value has the wrong type.
+            ValueError: If a value is out of range.
+        """
+        return cls().override(preset, **values)
+
+    def override(self, preset: str = "fast", **values: Any) -> Self:
+        """The same configuration with some settings changed, as in `of`."""
+        kind = values.pop("bonus", self.bonus)
+        config = self if kind == self.bonus else replace(self, bonus=_switched(self.bonus, kind))
+        known = flat(config)
+        chosen = {name: value for name, value in _preset(preset).items() if name in known}
+        return override(config, **chosen | values)
+
+    def to_json(self) -> dict[str, Any]:
+        """All settings by their flat names, as JSON knows them."""
+        settings = {name: as_plain(own.value) for name, own in flat(self).items()}
+        return settings | {"bonus": self.bonus.kind}
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any], source: str = "config.json") -> Self:
+        """Read what `to_json` gave.
+
+        Raises:
+            ValueError: If there is no such setting or it cannot have this value, naming `source`.
+        """
+        try:
+            return cls.of(**values)
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"{source}: {error}") from error
+
+    def changes(self) -> dict[str, Any]:
+        """Settings that differ from the default, by their flat names, as JSON knows them."""
+        default = Config()
+        kind = {} if self.bonus.kind == default.bonus.kind else {"bonus": self.bonus.kind}
+        reference = replace(default, bonus=bonus_config(self.bonus.kind))
+        changed = changes(self, reference)
+        return kind | {name: as_plain(value) for name, value in changed.items()}
+
+
+def _preset(name: str) -> dict[str, Any]:
+    if name not in PRESETS:
+        raise ValueError(f"`preset` must be one of {', '.join(PRESETS)}, got {name!r}.")
+    return PRESETS[name]
+
+
+def _switched(bonus: BonusConfig, kind: str | BonusConfig) -> BonusConfig:
+    """Another bonus, with the settings that both have as they were."""
+    if isinstance(kind, BonusConfig):
+        return kind
+    other: BonusConfig = bonus_config(kind)
+    shared = flat(other).keys() & flat(bonus).keys()
+    return override(other, **{name: flat(bonus)[name].value for name in shared})
+
+
+def _check_device(device: str) -> None:
+    device_type = device.split(":")[0]
+    if device_type not in ("cpu", "cuda"):
+        raise ValueError(f"`device` must be cpu or cuda, got {device!r}.")
+    if device_type == "cuda" and not torch.cuda.is_available():
+        raise ValueError(f"`device` must be one that torch can use here, got {device!r}.")
+
+
+def _refuse_idle_settings(config: Config) -> None:
+    """Refuse by name what would do nothing in this run.
+
+    Raises:
+        ValueError: Naming the setting, why it would do nothing, and its value.
+    """
+    if config.bonus.kind == "none":
+        if config.agent.is_conditioned:
             raise ValueError(
-                f"`curiosity_discount` must be above 0 for the bonus {self.bonus}, which has no "
-                "gradient in the action, got 0."
+                "`hunger` must be a number or a schedule without a bonus, "
+                f"got {config.agent.hunger}."
             )
-        for name, control in (
-            ("final_hunger", self.hunger_control),
-            ("final_temperature", self.temperature_control),
-        ):
-            if control in ("linear", "exponential", "annealing") and getattr(self, name) <= 0:
-                raise ValueError(f"`{name}` must be positive, got {getattr(self, name)}.")
-        if self.has_dial and self.bonus == "none":
-            raise ValueError(
-                "`hunger_control` must be 'constant', 'linear' or 'exponential' without a bonus, "
-                f"got {self.hunger_control!r}."
-            )
-        if self.update_to_data <= 0:
-            raise ValueError(f"`update_to_data` must be positive, got {self.update_to_data}.")
+        for own in fields(CuriosityValueConfig):
+            value = getattr(config.agent.curiosity, own.name)
+            if value != own.default:
+                name = own.metadata.get("name", own.name)
+                raise ValueError(f"`{name}` must be left out without a bonus, got {value!r}.")
+    ends = config.agent.curiosity.ends
+    if ends is not None and ends >= config.run.total_steps:
+        raise ValueError(
+            f"`curiosity_ends` must be below `total_steps` ({config.run.total_steps}), got {ends}."
+        )
+    if config.environment.num_envs == 1 and config.environment.vectorization != "auto":
+        raise ValueError(
+            "`vectorization` must be left out for a single environment, "
+            f"got {config.environment.vectorization!r}."
+        )
+
+
+def config_key(values: Mapping[str, Any]) -> dict[str, str]:
+    """What makes a run the one it is: its settings, but for where it lies."""
+    return {
+        name: json.dumps(value, sort_keys=True)
+        for name, value in values.items()
+        if name not in IGNORED
+    }
+
+
+IGNORED = ("out", "matmul_precision")  # the last is chosen anew by the clock

@@ -3,9 +3,9 @@
 import difflib
 import multiprocessing
 import signal
-from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
-from typing import Any, Literal
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -13,6 +13,7 @@ from gymnasium import spaces
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv
 
 import deep_curiosity_envs
+from deep_curiosity.training.config import EnvironmentConfig
 from deep_curiosity.training.frame_stack import FrameStack, VectorFrameStack
 
 GOAL_ENDS_EPISODE = frozenset({"MountainCarContinuous-v0"})
@@ -20,28 +21,21 @@ GOAL_ENDS_EPISODE = frozenset({"MountainCarContinuous-v0"})
 
 
 def make_environment(
-    env_id: str,
-    env_kwargs: Mapping[str, Any] | None = None,
-    *,
-    history: int = 1,
-    render_mode: str | None = None,
+    config: EnvironmentConfig, *, render_mode: str | None = None
 ) -> gymnasium.Env[np.ndarray, np.ndarray]:
     """Make an environment with vector observations and actions in [-1, 1].
 
     Args:
-        env_id: Registered id; `PendulumSwingup` is short for `deep_curiosity/PendulumSwingup-v0`;
-            `dm_control/DOMAIN-TASK-v0` needs the `dmc` extra.
-        env_kwargs: Keyword arguments of the environment.
-        history: Observations shown together, with the actions between them; see `FrameStack`.
+        config: Its `env_id` is a registered one; `PendulumSwingup` is short for
+            `deep_curiosity/PendulumSwingup-v0`; `dm_control/DOMAIN-TASK-v0` needs the `dmc` extra.
         render_mode: Passed on.
 
     Raises:
-        ValueError: If the id is unknown, the spaces are not continuous, bounded vectors, or
-            `history` is below one.
-        ImportError: If a dm_control id is asked for without its extra.
+        ValueError: If the id is unknown, or the spaces are not continuous, bounded vectors.
+        ImportError: If a dm_control id is wanted without its extra.
     """
-    env_id = _registered_id(env_id)
-    env_kwargs = dict(env_kwargs or {})
+    env_id = registered_id(config.env_id)
+    env_kwargs: dict[str, Any] = dict(config.env_kwargs)
     if render_mode is not None:
         env_kwargs["render_mode"] = render_mode
     try:
@@ -57,58 +51,51 @@ def make_environment(
         environment = _TerminationIsSuccess(environment)
     low, high = np.array([-1.0, 1.0], environment.action_space.dtype)
     environment = gymnasium.wrappers.RescaleAction(environment, low, high)
-    return environment if history == 1 else FrameStack(environment, history)
+    return environment if config.frame_stack == 1 else FrameStack(environment, config.frame_stack)
 
 
 def make_vector_environment(
-    env_id: str,
-    env_kwargs: Mapping[str, Any] | None = None,
-    *,
-    num_envs: int,
-    vectorization: Literal["auto", "native", "sync", "async"] = "auto",
-    history: int = 1,
+    config: EnvironmentConfig,
 ) -> VectorEnv[np.ndarray, np.ndarray, np.ndarray]:
-    """Make several worlds of what `make_environment` makes, which reset only when they are told.
-
-    Args:
-        env_id: As in `make_environment`.
-        env_kwargs: As in `make_environment`.
-        num_envs: How many worlds.
-        vectorization: `"native"` steps the MuJoCo tasks of this package in one call of MuJoCo;
-            `"sync"` steps any task world by world, `"async"` each in a process of its own;
-            `"auto"` is native where it can be, else sync.
-        history: As in `make_environment`.
+    """Make several environments as `make_environment` does, which reset only when told to.
 
     Raises:
-        ValueError: If a native environment is asked for where there is none, or
-            `make_environment` raises it.
+        ValueError: If a native environment is wanted where there is none, or `make_environment`
+            raises it.
     """
-    worlds = _make_worlds(_registered_id(env_id), env_kwargs, num_envs, vectorization)
-    return worlds if history == 1 else VectorFrameStack(worlds, history)
+    environment = _make_vector(replace(config, frame_stack=1))
+    if config.frame_stack == 1:
+        return environment
+    return VectorFrameStack(environment, config.frame_stack)
 
 
-def _make_worlds(
-    env_id: str, env_kwargs: Mapping[str, Any] | None, num_envs: int, vectorization: str
-) -> VectorEnv[np.ndarray, np.ndarray, np.ndarray]:
+def _make_vector(config: EnvironmentConfig) -> VectorEnv[np.ndarray, np.ndarray, np.ndarray]:
+    """Step by one call of MuJoCo, one after another, or each in a process of its own."""
+    env_id = registered_id(config.env_id)
     has_native = env_id in deep_curiosity_envs.TASK_IDS
-    if vectorization == "native" and not has_native:
+    if config.vectorization == "native" and not has_native:
         raise ValueError(
             f"`vectorization` must be 'auto', 'sync' or 'async' for {env_id}, got 'native', which "
             f"is for {', '.join(deep_curiosity_envs.TASK_IDS)}."
         )
-    make_one = partial(make_environment, env_id, env_kwargs)
-    if vectorization == "async":
-        make_worker = partial(_make_in_worker, env_id, env_kwargs)
-        return AsyncVectorEnv([make_worker] * num_envs, autoreset_mode=AutoresetMode.DISABLED)
-    if vectorization == "sync" or not has_native:
-        return SyncVectorEnv([make_one] * num_envs, autoreset_mode=AutoresetMode.DISABLED)
-    return gymnasium.make_vec(
-        env_id,
-        num_envs,
-        "vector_entry_point",
-        autoreset_mode=AutoresetMode.DISABLED,
-        **(env_kwargs or {}),
-    )
+    if config.vectorization == "async":
+        workers = [partial(_make_in_worker, config)] * config.num_envs
+        return AsyncVectorEnv(workers, autoreset_mode=AutoresetMode.DISABLED)
+    if config.vectorization == "sync" or not has_native:
+        makers = [partial(make_environment, config)] * config.num_envs
+        return SyncVectorEnv(makers, autoreset_mode=AutoresetMode.DISABLED)
+    try:
+        return gymnasium.make_vec(
+            env_id,
+            config.num_envs,
+            "vector_entry_point",
+            autoreset_mode=AutoresetMode.DISABLED,
+            **config.env_kwargs,
+        )
+    except TypeError as error:
+        raise ValueError(
+            f"`env_kwargs` must be arguments of {env_id}, got {config.env_kwargs}: {error}"
+        ) from error
 
 
 def check_spaces(observation_space: spaces.Space, action_space: spaces.Space) -> None:
@@ -136,17 +123,15 @@ def num_cells(environment: gymnasium.Env) -> int | None:
     return getattr(environment.unwrapped, "num_cells", None)
 
 
-def picture_features(
-    env_id: str, env_kwargs: Mapping[str, Any], history: int = 1
-) -> tuple[int, int]:
+def picture_features(config: EnvironmentConfig) -> tuple[int, int]:
     """Two entries of the observation that tell most when drawn against each other.
 
     Tasks name them in `metadata["picture_features"]`; otherwise the first and the last are taken.
-    With a history they are entries of its newest observation, the last of the window.
+    With a frame stack they are entries of its newest observation, the last of the stack.
     """
-    environment = make_environment(env_id, env_kwargs)
+    environment = make_environment(replace(config, frame_stack=1))
     size = observation_dim(environment)
-    before_newest = (history - 1) * (size + action_dim(environment))
+    before_newest = (config.frame_stack - 1) * (size + action_dim(environment))
     first, second = environment.metadata.get("picture_features", (0, size - 1))
     environment.close()
     return before_newest + first, before_newest + second
@@ -162,14 +147,20 @@ def action_dim(environment: gymnasium.Env) -> int:
     return int(np.prod(environment.action_space.shape or ()))
 
 
-def _make_in_worker(env_id: str, env_kwargs: Mapping[str, Any] | None) -> gymnasium.Env:
+def _make_in_worker(config: EnvironmentConfig) -> gymnasium.Env:
     """Make an environment; a process of its own leaves Ctrl-C to the one that steps it."""
     if multiprocessing.parent_process() is not None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
-    return make_environment(env_id, env_kwargs)
+    return make_environment(config)
 
 
-def _registered_id(env_id: str) -> str:
+def registered_id(env_id: str) -> str:
+    """Id by which gymnasium knows a task of this package or another.
+
+    Raises:
+        ValueError: If it knows none of this name.
+        ImportError: If a dm_control id is wanted without its extra.
+    """
     if env_id.startswith("dm_control/"):
         _require_shimmy()
     known = list(gymnasium.registry)

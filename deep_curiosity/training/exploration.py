@@ -1,4 +1,4 @@
-"""Exploration noise that hangs together in time, in the place of the policy's own draws.
+"""Exploration noise that is correlated in time, in the place of the policy's own samples.
 
 All of it has unit variance at every single step, so that the policy's own standard deviation
 holds; what differs is how one step's noise is related to the next one's.
@@ -14,15 +14,15 @@ from jaxtyping import Float
 from torch import Tensor
 
 REVERSION = 0.15  # of an Ornstein-Uhlenbeck process, per step: that of Lillicrap et al. (2016)
-REDRAWN_STEPS = 64  # of state-dependent noise, until it depends on the state in another way
+RESAMPLED_STEPS = 64  # of state-dependent noise, until it depends on the state in another way
 PINK_STEPS = 1_000  # the longest period in pink noise; an episode's usual length or more
 
 
 class Noise(ABC):
-    """A stream of noise for several worlds; random numbers are torch's own.
+    """A stream of noise for several environments; random numbers are torch's own.
 
     Args:
-        num_envs: Number of worlds.
+        num_envs: Number of environments.
         action_dim: Length of an action.
     """
 
@@ -30,12 +30,12 @@ class Noise(ABC):
         self.shape = (num_envs, action_dim)
 
     @abstractmethod
-    def draw(self, hidden: Float[Tensor, "num_envs width"]) -> Float[Tensor, "num_envs dim"]:
+    def sample(self, hidden: Float[Tensor, "num_envs width"]) -> Float[Tensor, "num_envs dim"]:
         """Noise of the next step, where the policy's last hidden layer has these activations."""
 
     @abstractmethod
-    def begin(self, world: int) -> None:
-        """Forget the past of a world whose episode begins."""
+    def begin(self, index: int) -> None:
+        """Forget the past of an environment whose episode begins."""
 
     @abstractmethod
     def state_dict(self) -> dict[str, Any]:
@@ -57,15 +57,15 @@ class OrnsteinUhlenbeckNoise(Noise):
         super().__init__(num_envs, action_dim)
         self._value = torch.randn(self.shape)
 
-    def draw(self, hidden: Float[Tensor, "num_envs width"]) -> Float[Tensor, "num_envs dim"]:
+    def sample(self, hidden: Float[Tensor, "num_envs width"]) -> Float[Tensor, "num_envs dim"]:
         """A step of the process."""
         kept = 1 - REVERSION
         self._value = kept * self._value + math.sqrt(1 - kept**2) * torch.randn(self.shape)
         return self._value
 
-    def begin(self, world: int) -> None:
+    def begin(self, index: int) -> None:
         """Start anywhere."""
-        self._value[world] = torch.randn(self.shape[1])
+        self._value[index] = torch.randn(self.shape[1])
 
     def state_dict(self) -> dict[str, Any]:
         """Value of the process."""
@@ -77,7 +77,7 @@ class OrnsteinUhlenbeckNoise(Noise):
 
 
 class StateDependentNoise(Noise):
-    """Noise that is a linear function of the policy's last hidden layer, drawn anew now and then.
+    """Noise that is a linear function of the policy's last hidden layer, sampled anew now and then.
 
     Like states are pushed alike, so that noise is smooth where the policy is. Of the original the
     dependence is kept, and the policy's own standard deviation in the place of learned ones.
@@ -89,24 +89,24 @@ class StateDependentNoise(Noise):
     def __init__(self, num_envs: int, action_dim: int) -> None:
         super().__init__(num_envs, action_dim)
         self._matrix = torch.zeros(num_envs, 0, action_dim)
-        self._age = torch.full((num_envs,), REDRAWN_STEPS)
+        self._age = torch.full((num_envs,), RESAMPLED_STEPS)
 
-    def draw(self, hidden: Float[Tensor, "num_envs width"]) -> Float[Tensor, "num_envs dim"]:
+    def sample(self, hidden: Float[Tensor, "num_envs width"]) -> Float[Tensor, "num_envs dim"]:
         """The function's value, of unit variance over functions."""
         hidden = hidden.cpu()
         num_envs, action_dim = self.shape
         if self._matrix.shape[1] != hidden.shape[1]:
             self._matrix = torch.zeros(num_envs, hidden.shape[1], action_dim)
-        for world in torch.nonzero(self._age >= REDRAWN_STEPS).flatten().tolist():
-            self._matrix[world] = torch.randn(hidden.shape[1], action_dim)
-            self._age[world] = 0
+        for index in torch.nonzero(self._age >= RESAMPLED_STEPS).flatten().tolist():
+            self._matrix[index] = torch.randn(hidden.shape[1], action_dim)
+            self._age[index] = 0
         self._age += 1
         direction = torch.nn.functional.normalize(hidden, dim=-1)
         return torch.einsum("nw,nwa->na", direction, self._matrix)
 
-    def begin(self, world: int) -> None:
-        """Draw another function at the next step."""
-        self._age[world] = REDRAWN_STEPS
+    def begin(self, index: int) -> None:
+        """Sample another function at the next step."""
+        self._age[index] = RESAMPLED_STEPS
 
     def state_dict(self) -> dict[str, Any]:
         """The functions and their ages."""
@@ -137,38 +137,38 @@ class PinkNoise(Noise):
             ) from error
         self._make = PinkNoiseProcess
         self._seed = torch.zeros(num_envs, dtype=torch.long)
-        self._num_drawn = torch.zeros(num_envs, dtype=torch.long)
+        self._num_sampled = torch.zeros(num_envs, dtype=torch.long)
         self._processes: list[Any] = [None] * num_envs
-        for world in range(num_envs):
-            self.begin(world)
+        for index in range(num_envs):
+            self.begin(index)
 
-    def draw(self, hidden: Float[Tensor, "num_envs width"]) -> Float[Tensor, "num_envs dim"]:
-        """The next value of every world's series."""
-        self._num_drawn += 1
-        drawn = np.stack([process.sample() for process in self._processes])
-        return torch.from_numpy(drawn.astype(np.float32))
+    def sample(self, hidden: Float[Tensor, "num_envs width"]) -> Float[Tensor, "num_envs dim"]:
+        """The next value of every environment's series."""
+        self._num_sampled += 1
+        sample = np.stack([process.sample() for process in self._processes])
+        return torch.from_numpy(sample.astype(np.float32))
 
-    def begin(self, world: int) -> None:
+    def begin(self, index: int) -> None:
         """Begin another series."""
-        self._restart(world, int(torch.randint(2**31, ())), num_drawn=0)
+        self._restart(index, int(torch.randint(2**31, ())), num_sampled=0)
 
     def state_dict(self) -> dict[str, Any]:
-        """Seed of every series, and how much of it has been drawn."""
-        return {"seed": self._seed.clone(), "num_drawn": self._num_drawn.clone()}
+        """Seed of every series, and how much of it has been sampled."""
+        return {"seed": self._seed.clone(), "num_sampled": self._num_sampled.clone()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what `state_dict` gave."""
-        for world, (seed, num_drawn) in enumerate(
-            zip(state["seed"].tolist(), state["num_drawn"].tolist(), strict=True)
+        for index, (seed, num_sampled) in enumerate(
+            zip(state["seed"].tolist(), state["num_sampled"].tolist(), strict=True)
         ):
-            self._restart(world, seed, num_drawn)
+            self._restart(index, seed, num_sampled)
 
-    def _restart(self, world: int, seed: int, num_drawn: int) -> None:
-        self._seed[world], self._num_drawn[world] = seed, num_drawn
+    def _restart(self, index: int, seed: int, num_sampled: int) -> None:
+        self._seed[index], self._num_sampled[index] = seed, num_sampled
         process = self._make((self.shape[1], PINK_STEPS), rng=np.random.default_rng(seed))
-        for _ in range(num_drawn):
+        for _ in range(num_sampled):
             process.sample()
-        self._processes[world] = process
+        self._processes[index] = process
 
 
 NOISES: dict[str, type[Noise]] = {
@@ -177,3 +177,8 @@ NOISES: dict[str, type[Noise]] = {
     "ou": OrnsteinUhlenbeckNoise,
 }
 """By the names of the setting `exploration`."""
+
+
+def make_noise(name: str, num_envs: int, action_dim: int) -> Noise | None:
+    """Noise by the name of the setting `exploration`; `None` for the policy's own samples."""
+    return None if name == "policy" else NOISES[name](num_envs, action_dim)

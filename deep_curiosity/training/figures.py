@@ -1,4 +1,4 @@
-"""Pictures of a run, drawn from the files it left."""
+"""Pictures of a run, made from the files it left."""
 
 from pathlib import Path
 
@@ -8,33 +8,34 @@ from matplotlib.figure import Figure
 
 from deep_curiosity.training.checkpoint import load_checkpoint
 from deep_curiosity.training.environments import picture_features
-from deep_curiosity.training.log import read_progress, read_settings
+from deep_curiosity.training.log import read_config, read_progress
 
 PICTURE = "run.png"
-MAX_POINTS = 20_000  # states drawn
-BONUS_PARTS = {
+MAX_POINTS = 20_000  # states plotted
+BONUS_CURVES = {
     "curiosity/nats": "D (upper bound)",
     "curiosity/predictive_power": "predictive power",
     "curiosity/information_gain": "information gain",
 }
 
 
-def draw_run(folder: Path) -> Path:
-    """Draw learning curve, bonus and its parts, and visited states of the run in a folder.
+def plot_run(folder: Path) -> Path:
+    """Plot learning curve, bonus and its parts, and visited states of the run in a folder.
 
     Returns:
         Path of the PNG.
     """
-    settings = read_settings(folder)
+    config = read_config(folder)
     columns = _columns(read_progress(folder))
     state = load_checkpoint(folder)
     figure = Figure(figsize=(13, 3.8), layout="constrained")
     returns, bonus, states = figure.subplots(1, 3)
-    _draw_returns(returns, columns, state["history"]["episodes"])
-    _draw_bonus(bonus, columns)
-    features = picture_features(settings.env_id, settings.env_kwargs, settings.history)
-    _draw_states(states, state["learner"]["replay"]["rows"].numpy(), features)
-    figure.suptitle(f"{settings.env_id}, bonus {settings.bonus}, seed {settings.seed}")
+    _plot_returns(returns, columns, state["run_log"]["episodes"])
+    _plot_bonus(bonus, columns)
+    features = picture_features(config.environment)
+    _plot_states(states, state["learner"]["replay"]["rows"].numpy(), features)
+    title = f"{config.environment.env_id}, bonus {config.bonus.kind}, seed {config.run.seed}"
+    figure.suptitle(title)
     path = folder / PICTURE
     figure.savefig(path, dpi=110)
     return path
@@ -45,7 +46,7 @@ def _columns(rows: list[dict[str, str]]) -> dict[str, np.ndarray]:
     return {name: np.array([float(row[name] or "nan") for row in rows]) for name in names}
 
 
-def _draw_returns(
+def _plot_returns(
     axes: Axes, columns: dict[str, np.ndarray], episodes: list[tuple[float, int, float]]
 ) -> None:
     """Return of every training episode, and of the evaluations."""
@@ -60,20 +61,20 @@ def _draw_returns(
         axes.legend(fontsize=8)
 
 
-def _draw_bonus(axes: Axes, columns: dict[str, np.ndarray]) -> None:
+def _plot_bonus(axes: Axes, columns: dict[str, np.ndarray]) -> None:
     """Divergence in nats, and what it is made of."""
     axes.set(title="bonus and its parts", xlabel="environment step", ylabel="nats")
-    drawn = [name for name in BONUS_PARTS if name in columns]
-    for name in drawn:
-        axes.plot(columns["step"], columns[name], ".-", label=BONUS_PARTS[name])
-    if drawn:
+    plotted = [name for name in BONUS_CURVES if name in columns]
+    for name in plotted:
+        axes.plot(columns["step"], columns[name], ".-", label=BONUS_CURVES[name])
+    if plotted:
         axes.set_ylim(bottom=0)
         axes.legend(fontsize=8)
     else:
         axes.text(0.5, 0.5, "no bonus", ha="center", va="center", transform=axes.transAxes)
 
 
-def _draw_states(axes: Axes, rows: np.ndarray, features: tuple[int, int]) -> None:
+def _plot_states(axes: Axes, rows: np.ndarray, features: tuple[int, int]) -> None:
     """Visited states in two features of the observation, coloured by when they were visited."""
     thinned = rows[:: max(1, len(rows) // MAX_POINTS)]
     age = np.linspace(0, 1, len(thinned))

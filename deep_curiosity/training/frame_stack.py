@@ -19,16 +19,16 @@ class FrameStack(gymnasium.Wrapper):
 
     Args:
         env: Its observations and actions are vectors.
-        history: Observations in a window; actions are one fewer.
+        num_frames: Observations in a window; actions are one fewer.
 
     Raises:
-        ValueError: If `history` is below one.
+        ValueError: If `num_frames` is below one.
     """
 
-    def __init__(self, env: gymnasium.Env, history: int) -> None:
+    def __init__(self, env: gymnasium.Env, num_frames: int) -> None:
         super().__init__(env)
-        self.history = history
-        self.observation_space = window_space(env.observation_space, env.action_space, history)
+        self.num_frames = num_frames
+        self.observation_space = window_space(env.observation_space, env.action_space, num_frames)
         self._window: np.ndarray
 
     def reset(
@@ -36,7 +36,7 @@ class FrameStack(gymnasium.Wrapper):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin an episode, and forget the one before."""
         observation, info = self.env.reset(seed=seed, options=options)
-        self._window = first_window(observation, self.action_space, self.history)
+        self._window = first_window(observation, self.action_space, self.num_frames)
         return self._window, info
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, Any, bool, bool, dict[str, Any]]:
@@ -47,23 +47,23 @@ class FrameStack(gymnasium.Wrapper):
 
 
 class VectorFrameStack(VectorWrapper):
-    """Shows a window of every world, each as `FrameStack` would.
+    """Shows a window of every environment, each as `FrameStack` would.
 
     Args:
-        env: Its autoreset is disabled, so that a world begins anew only when it is told to.
-        history: Observations in a window; actions are one fewer.
+        env: Its autoreset is disabled, so that an episode begins only when it is told to.
+        num_frames: Observations in a window; actions are one fewer.
 
     Raises:
-        ValueError: If `history` is below one, or the worlds reset by themselves.
+        ValueError: If `num_frames` is below one, or the environments reset by themselves.
     """
 
-    def __init__(self, env: VectorEnv, history: int) -> None:
+    def __init__(self, env: VectorEnv, num_frames: int) -> None:
         super().__init__(env)
         mode = env.metadata.get("autoreset_mode")
         if mode is not AutoresetMode.DISABLED:
             raise ValueError(f"`env` must have its autoreset disabled, got {mode}.")
-        self.history = history
-        space = window_space(env.single_observation_space, env.single_action_space, history)
+        self.num_frames = num_frames
+        space = window_space(env.single_observation_space, env.single_action_space, num_frames)
         self.single_observation_space = space
         self.observation_space = batch_space(space, env.num_envs)
         self._window = np.zeros((env.num_envs, *space.shape), space.dtype)
@@ -71,11 +71,11 @@ class VectorFrameStack(VectorWrapper):
     def reset(
         self, *, seed: Any = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Begin an episode in every world, or in those of `options["reset_mask"]`."""
+        """Begin an episode in every environment, or in those of `options["reset_mask"]`."""
         everywhere = np.ones(self.num_envs, dtype=bool)
         mask = (options or {}).get("reset_mask", everywhere)  # before Gymnasium takes it out
         observation, info = self.env.reset(seed=seed, options=options)
-        first = first_window(observation, self.single_action_space, self.history)
+        first = first_window(observation, self.single_action_space, self.num_frames)
         self._window = np.where(mask[:, None], first, self._window)
         return self._window, info
 
@@ -89,18 +89,18 @@ class VectorFrameStack(VectorWrapper):
 
 
 def window_space(
-    observation_space: spaces.Space, action_space: spaces.Space, history: int
+    observation_space: spaces.Space, action_space: spaces.Space, num_frames: int
 ) -> spaces.Box:
     """Space of the windows over both spaces, which are boxes of vectors.
 
     Raises:
-        ValueError: If `history` is below one.
+        ValueError: If `num_frames` is below one.
     """
-    if history < 1:
-        raise ValueError(f"`history` must be at least 1, got {history}.")
+    if num_frames < 1:
+        raise ValueError(f"`num_frames` must be at least 1, got {num_frames}.")
     assert isinstance(observation_space, spaces.Box) and isinstance(action_space, spaces.Box)
     low, high = (
-        np.concatenate([*[observation, action] * (history - 1), observation])
+        np.concatenate([*[observation, action] * (num_frames - 1), observation])
         for observation, action in (
             (observation_space.low, action_space.low),
             (observation_space.high, action_space.high),
@@ -109,17 +109,19 @@ def window_space(
     return spaces.Box(low, high, dtype=observation_space.dtype.type)
 
 
-def first_window(observation: np.ndarray, action_space: spaces.Space, history: int) -> np.ndarray:
-    """Windows at the start of episodes, `(*worlds, window_dim)`."""
+def first_window(
+    observation: np.ndarray, action_space: spaces.Space, num_frames: int
+) -> np.ndarray:
+    """Windows at the start of episodes, `(*batch, window_dim)`."""
     idle = np.zeros((*observation.shape[:-1], *(action_space.shape or ())), observation.dtype)
     past = np.concatenate((observation, idle), axis=-1)
-    return np.concatenate((np.tile(past, history - 1), observation), axis=-1)
+    return np.concatenate((np.tile(past, num_frames - 1), observation), axis=-1)
 
 
 def next_window(
     window: np.ndarray, action: np.ndarray, observation: np.ndarray, action_space: spaces.Space
 ) -> np.ndarray:
-    """Windows one step later, with the action as the space clips it, `(*worlds, window_dim)`."""
+    """Windows one step later, with the action as the space clips it, `(*batch, window_dim)`."""
     assert isinstance(action_space, spaces.Box)
     taken = np.clip(action, action_space.low, action_space.high).astype(window.dtype)
     longer = np.concatenate((window, taken, observation), axis=-1)

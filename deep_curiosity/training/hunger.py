@@ -1,6 +1,7 @@
-"""Who says how hungry the agent is, from step to step: the clock, a sense, draws, or a bandit.
+"""Who says how hungry the agent is, from step to step: the clock, a function, chance, or a bandit.
 
-Hunger is the weight of reward. On a dial it lies in [0, 1], and curiosity has the rest.
+Hunger is the weight of reward. Where the agent is conditioned on it, it lies in [0, 1], and
+curiosity has the rest.
 """
 
 import abc
@@ -13,16 +14,17 @@ import numpy as np
 import torch
 from numpy.typing import ArrayLike
 
+from deep_curiosity.agent.config import ConditionedHunger
 from deep_curiosity.schedules import Schedule
 from deep_curiosity.training.collector import Info
-from deep_curiosity.training.config import Settings
+from deep_curiosity.training.config import Config
 
-DRAWN_HUNGERS = (0.0, 0.5, 1.0, 1.0)  # one episode of four is purely curious, two are greedy
-LACK_OF_HUNGRY = 0.5  # of a charge, at which only reward counts
+RANDOM_HUNGERS = (0.0, 0.5, 1.0, 1.0)  # one episode of four is purely curious, two are greedy
+CHARGE_OF_FULL_HUNGER = 0.5  # of a charge, at which only reward counts
 BANDIT_ARMS = (0.0, 0.5, 1.0)
 BANDIT_SEGMENT = 250  # environment steps for which an arm is held
 BANDIT_MEMORY = 40  # segments that an arm is judged by
-BANDIT_BOLDNESS = 0.5  # weight of what is not known of an arm, in units of the range of scores
+BANDIT_EXPLORATION = 0.5  # weight of what is not known of an arm, in units of the range of scores
 
 HungerFunction = Callable[[np.ndarray, Info], ArrayLike]
 """Observations `(num_envs, observation_dim)`, and the info that came with them, to hunger: one
@@ -30,24 +32,26 @@ number or `(num_envs,)`."""
 
 
 class HungerController(abc.ABC):
-    """Says how hungry the agent is in each world before a step, and sees what came of it."""
+    """Says how hungry the agent is in each environment before a step, and records what came of it."""
 
     @abc.abstractmethod
     def hunger(self, step: int, observation: np.ndarray, info: Info) -> np.ndarray:
-        """Hunger in each world, `(num_envs,)`.
+        """Hunger in each environment, `(num_envs,)`.
 
         Args:
             step: Environment steps taken so far.
             observation: `(num_envs, observation_dim)`.
-            info: What the worlds say with the observation.
+            info: Infos that came with the observation.
         """
 
     def in_evaluation(self, observation: np.ndarray, info: Info) -> np.ndarray:
         """Hunger while the agent is evaluated: by default all for reward."""
         return np.ones(len(observation))
 
-    def record(self, reward: np.ndarray, ended: np.ndarray) -> None:  # noqa: B027  most do not look
-        """Look at the newest step of each world: its reward, and whether it ended the episode."""
+    def record(  # noqa: B027  most do not look
+        self, reward: np.ndarray, ended: np.ndarray
+    ) -> None:
+        """Record the newest step of each environment: its reward, and whether it ended the episode."""
 
     def state_dict(self) -> dict[str, Any]:
         """What a resumed run must know."""
@@ -58,7 +62,7 @@ class HungerController(abc.ABC):
 
 
 class ScheduledHunger(HungerController):
-    """The same hunger in all worlds, which may go with time.
+    """The same hunger in all environments, which may go with time.
 
     Args:
         schedule: Environment step to hunger.
@@ -68,34 +72,34 @@ class ScheduledHunger(HungerController):
         self.schedule = schedule
 
     def hunger(self, step: int, observation: np.ndarray, info: Info) -> np.ndarray:
-        """Hunger of this step, once for each world."""
+        """Hunger of this step, once for each environment."""
         # `np.full` costs twice as much where caches are cold
         return np.array([self.schedule(step)] * len(observation))
 
 
 class FunctionHunger(HungerController):
-    """Hunger that is a function of what is seen or told, in training as in evaluations.
+    """Hunger that is a function of observation and info, in training as in evaluations.
 
     Args:
-        sense: From observations and infos to hunger.
-        highest: Largest hunger there is, 1 on a dial.
+        function: From observations and infos to hunger.
+        highest: Largest hunger there is, 1 where the agent is conditioned on it.
     """
 
-    def __init__(self, sense: HungerFunction, highest: float) -> None:
-        self.sense = sense
+    def __init__(self, function: HungerFunction, highest: float) -> None:
+        self.function = function
         self.highest = highest
 
     def hunger(self, step: int, observation: np.ndarray, info: Info) -> np.ndarray:
-        """What is sensed."""
+        """What the function says."""
         return self.in_evaluation(observation, info)
 
     def in_evaluation(self, observation: np.ndarray, info: Info) -> np.ndarray:
-        """What is sensed.
+        """What the function says.
 
         Raises:
-            ValueError: If it is not one hunger, or one for each world, that there is.
+            ValueError: If that is not one hunger, or one for each environment, within its bounds.
         """
-        hunger = np.asarray(self.sense(observation, info), dtype=float)
+        hunger = np.asarray(self.function(observation, info), dtype=float)
         if hunger.shape not in ((), (len(observation),)):
             raise ValueError(
                 f"`hunger` must return one number or {len(observation)}, got {hunger.shape}."
@@ -124,50 +128,50 @@ def battery_hunger(entry: int | str, observation_dim: int) -> HungerFunction:
             f"`battery` must be an entry of an observation of {observation_dim}, got {entry}."
         )
 
-    def sense(observation: np.ndarray, info: Info) -> np.ndarray:
+    def hunger(observation: np.ndarray, info: Info) -> np.ndarray:
         if isinstance(entry, int):
             charge = observation[:, entry]
         elif entry in info:
             charge = np.atleast_1d(info[entry])
         else:
             raise ValueError(
-                f"`battery` must be told by every info, {sorted(info)}, got {entry!r}."
+                f"`battery` must be an entry of every info, {sorted(info)}, got {entry!r}."
             )
-        return np.clip((1.0 - charge) / LACK_OF_HUNGRY, 0.0, 1.0)
+        return np.clip((1.0 - charge) / CHARGE_OF_FULL_HUNGER, 0.0, 1.0)
 
-    return sense
+    return hunger
 
 
 class RandomHunger(HungerController):
-    """A hunger for each episode, drawn from a few.
+    """A hunger for each episode, sampled from a few.
 
     Args:
-        num_envs: Number of worlds.
-        hungers: What is drawn from, all alike.
+        num_envs: Number of environments.
+        hungers: What is sampled from, all alike.
     """
 
-    def __init__(self, num_envs: int, hungers: Sequence[float] = DRAWN_HUNGERS) -> None:
+    def __init__(self, num_envs: int, hungers: Sequence[float] = RANDOM_HUNGERS) -> None:
         self.hungers = hungers
-        self._held = np.array([self._draw() for _ in range(num_envs)])
+        self._held = np.array([self._sample() for _ in range(num_envs)])
 
     def hunger(self, step: int, observation: np.ndarray, info: Info) -> np.ndarray:
-        """What was drawn for the episode in each world."""
+        """Hunger of the episode in each environment."""
         return self._held
 
     def record(self, reward: np.ndarray, ended: np.ndarray) -> None:
-        """Draw again where an episode has ended."""
-        for world in np.flatnonzero(ended):
-            self._held[world] = self._draw()
+        """Sample again where an episode has ended."""
+        for index in np.flatnonzero(ended):
+            self._held[index] = self._sample()
 
     def state_dict(self) -> dict[str, Any]:
-        """The hunger in each world."""
+        """The hunger in each environment."""
         return {"held": self._held.tolist()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
         """Restore what `state_dict` gave."""
         self._held = np.array(state["held"])
 
-    def _draw(self) -> float:
+    def _sample(self) -> float:
         return self.hungers[int(torch.randint(len(self.hungers), ()))]
 
 
@@ -176,14 +180,14 @@ class BanditHunger(HungerController):
 
     An arm is held for a segment of steps. Its score is the mean reward per step of its segments
     within memory, brought to [0, 1] by the least and the largest of them all; the next arm is the
-    one of the highest `score + boldness * sqrt(log N / n)`. Where no reward tells the arms apart
-    they take turns, and where it does the dial goes where reward is.
+    one of the highest `score + exploration * sqrt(log N / n)`. Where no reward tells the arms apart
+    they alternate, and where it does the hunger goes where reward is.
 
     Args:
         hungers: The arms.
-        segment: Environment steps, of all worlds together, for which an arm is held.
+        segment: Environment steps, of all environments together, for which an arm is held.
         memory: Number of segments that count.
-        boldness: Weight of what is not known of an arm.
+        exploration: Weight of what is not known of an arm.
 
     Reference: Garivier & Moulines, "On Upper-Confidence Bound Policies for Switching BanditHunger
     Problems" (2011), for the sliding window; Badia et al., "Agent57" (2020), for the use.
@@ -195,17 +199,17 @@ class BanditHunger(HungerController):
         *,
         segment: int = BANDIT_SEGMENT,
         memory: int = BANDIT_MEMORY,
-        boldness: float = BANDIT_BOLDNESS,
+        exploration: float = BANDIT_EXPLORATION,
     ) -> None:
         self.hungers = hungers
         self.segment = segment
-        self.boldness = boldness
+        self.exploration = exploration
         self._past: deque[tuple[int, float]] = deque(maxlen=memory)
         self._num_steps, self._reward = 0, 0.0
         self._arm = self._choose()
 
     def hunger(self, step: int, observation: np.ndarray, info: Info) -> np.ndarray:
-        """The arm that is held, in all worlds."""
+        """The arm that is held, in all environments."""
         return np.full(len(observation), self.hungers[self._arm])
 
     def record(self, reward: np.ndarray, ended: np.ndarray) -> None:
@@ -245,39 +249,43 @@ class BanditHunger(HungerController):
         everything = [score for _, score in self._past]
         least, span = min(everything), max(everything) - min(everything)
         mean = (sum(scores) / len(scores) - least) / span if span > 0 else 0.0
-        return mean + self.boldness * math.sqrt(math.log(len(everything)) / len(scores))
+        return mean + self.exploration * math.sqrt(math.log(len(everything)) / len(scores))
 
 
-def make_hunger_controller(settings: Settings, observation_dim: int, sense: HungerFunction | None = None) -> HungerController:
+def make_hunger_controller(
+    config: Config, observation_dim: int, function: HungerFunction | None = None
+) -> HungerController:
     """Who says how hungry the agent of a run is.
 
     Args:
-        settings: Of the run.
+        config: Settings of the run.
         observation_dim: Length of an observation.
-        sense: The caller's own, where the settings leave the hunger where it is.
+        function: The caller's own, where the settings leave the hunger where it is.
 
     Raises:
         ValueError: If the battery is to be read where the observation has no entry, or the caller
             and the settings both say how hungry the agent is.
     """
-    highest = 1.0 if settings.has_dial else math.inf
-    if sense is not None:
-        if settings.hunger_control not in ("constant", "dial"):
+    hunger = config.agent.hunger
+    highest = 1.0 if config.agent.is_conditioned else math.inf
+    is_fixed = isinstance(hunger, ConditionedHunger) and hunger.source == "fixed"
+    if function is not None:
+        if not (is_fixed or isinstance(hunger, float)):
             raise ValueError(
-                "`hunger_control` must be 'constant' or 'dial' where `hunger` is given, "
-                f"got {settings.hunger_control!r}."
+                "`hunger` must be a number or conditioned:VALUE where a function is given, "
+                f"got {hunger}."
             )
-        return FunctionHunger(sense, highest)
-    match settings.hunger_control:
-        case "constant" | "dial":
-            return ScheduledHunger(lambda step: settings.hunger)
-        case "draws":
-            return RandomHunger(settings.num_envs)
+        return FunctionHunger(function, highest)
+    if isinstance(hunger, float):
+        return ScheduledHunger(lambda step: hunger)
+    if isinstance(hunger, Schedule):
+        return ScheduledHunger(lambda step: hunger(step / config.run.total_steps))
+    match hunger.source:
+        case "random":
+            return RandomHunger(config.environment.num_envs)
         case "bandit":
             return BanditHunger()
         case "battery":
-            return FunctionHunger(battery_hunger(settings.battery, observation_dim), highest)
-        case shape:
-            return ScheduledHunger(
-                Schedule(settings.hunger, settings.final_hunger, settings.total_steps, shape)
-            )
+            return FunctionHunger(battery_hunger(hunger.entry, observation_dim), highest)
+        case _:
+            return ScheduledHunger(lambda step: hunger.value)

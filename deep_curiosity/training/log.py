@@ -3,61 +3,54 @@
 import csv
 import json
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
 
-from deep_curiosity.training.config import Settings
+from deep_curiosity.training.config import Config
 
 CONFIG = "config.json"
 PROGRESS = "progress.csv"
 SUMMARY = "summary.json"
-IGNORED = ("out", "resume", "matmul_precision")  # the last is chosen anew by the clock
 
 
-def open_folder(settings: Settings) -> Path:
+def open_folder(config: Config) -> Path:
     """Folder of the run, with its settings written; a folder that holds a run is left alone.
 
     Raises:
         FileExistsError: If the folder already holds a run.
     """
-    folder = settings.out
+    folder = config.run.out
     if (folder / CONFIG).exists():
         raise FileExistsError(
             f"`out` must not hold a run already, got {folder}; continue it with "
             f"--resume {folder}, or choose another folder."
         )
     folder.mkdir(parents=True, exist_ok=True)
-    write_json(folder / CONFIG, asdict(settings))
+    write_json(folder / CONFIG, config.to_json())
     return folder
 
 
-def read_settings(folder: Path) -> Settings:
+def read_config(folder: Path) -> Config:
     """Settings of the run in a folder.
+
+    Raises:
+        FileNotFoundError: If the folder holds no run.
+        ValueError: If they are none, naming the file and the setting.
+    """
+    values = read_values(folder)
+    return Config.from_json(values | {"out": str(folder)}, source=str(folder / CONFIG))
+
+
+def read_values(folder: Path) -> dict[str, Any]:
+    """Settings of the run in a folder, as they are written.
 
     Raises:
         FileNotFoundError: If the folder holds no run.
     """
     if not (folder / CONFIG).exists():
         raise FileNotFoundError(f"a run must have a {CONFIG}, got {folder}, which has none.")
-    values = _read_config(folder)
-    features = tuple(values.get("features", ()))  # JSON knows lists alone
-    return Settings(**values | {"out": folder, "resume": None, "features": features})
-
-
-def config_key(run: Path | Settings) -> dict[str, str]:
-    """What makes a run the one it is, in JSON: settings of one in a folder, or of one to come."""
-    values = asdict(run) if isinstance(run, Settings) else _read_config(run)
-    return {
-        name: json.dumps(value, default=str, sort_keys=True)
-        for name, value in values.items()
-        if name not in IGNORED
-    }
-
-
-def _read_config(folder: Path) -> dict[str, Any]:
     values: dict[str, Any] = json.loads((folder / CONFIG).read_text())
     return values
 
@@ -69,7 +62,7 @@ def write_json(path: Path, values: Mapping[str, Any]) -> None:
     partial.replace(path)
 
 
-class Records:
+class Log:
     """Writes the numbers of a run, each under one tag, to TensorBoard and to progress.csv.
 
     Args:

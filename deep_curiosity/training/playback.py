@@ -7,49 +7,51 @@ import imageio.v2 as imageio
 import numpy as np
 from numpy.typing import NDArray
 
+from deep_curiosity.agent.config import ConditionedHunger
 from deep_curiosity.agent.sac import CuriousSAC
 from deep_curiosity.training.checkpoint import load_checkpoint
 from deep_curiosity.training.collector import Collector, Episode, Policy, as_batch
+from deep_curiosity.training.config import Config
 from deep_curiosity.training.environments import action_dim, observation_dim
 from deep_curiosity.training.hunger import make_hunger_controller
-from deep_curiosity.training.learner import evaluation_policy, make_agent
-from deep_curiosity.training.config import Settings
+from deep_curiosity.training.learner import make_agent, make_evaluation_policy
 
 
-def load_agent(folder: Path, settings: Settings, environment: gymnasium.Env) -> CuriousSAC:
+def load_agent(folder: Path, config: Config, environment: gymnasium.Env) -> CuriousSAC:
     """Agent of a finished or interrupted run, as its newest checkpoint has it.
 
     Raises:
         FileNotFoundError: If the folder holds no readable checkpoint.
     """
-    agent = make_agent(settings, observation_dim(environment), action_dim(environment))
+    agent = make_agent(config, observation_dim(environment), action_dim(environment))
     agent.load_state_dict(load_checkpoint(folder)["learner"]["agent"])
     return agent
 
 
 def load_policy(
-    folder: Path, settings: Settings, environment: gymnasium.Env, *, hunger: float | None = None
+    folder: Path, config: Config, environment: gymnasium.Env, *, hunger: float | None = None
 ) -> Policy:
     """Deterministic policy of a run, as its newest checkpoint has it.
 
     Args:
         folder: Of a finished or interrupted run.
-        settings: Of the run.
+        config: Settings of the run.
         environment: To be acted in.
-        hunger: Of a run with a dial, in [0, 1]; by default as in the run's own evaluations.
+        hunger: Of an agent that is conditioned on it, in [0, 1]; by default as in the run's own
+            evaluations.
 
     Raises:
         FileNotFoundError: If the folder holds no readable checkpoint.
-        ValueError: If a hunger is given that the agent cannot be told.
+        ValueError: If a hunger is given to an agent that is not conditioned on it.
     """
-    if hunger is not None and not settings.has_dial:
-        raise ValueError(
-            "`hunger` can only be chosen where the run has a dial (--hunger-control dial, draws, "
-            f"bandit or battery), got {hunger} for {settings.hunger_control!r}."
-        )
-    agent = load_agent(folder, settings, environment)
+    agent = load_agent(folder, config, environment)
     if hunger is None:
-        return evaluation_policy(agent, make_hunger_controller(settings, agent.observation_dim))
+        return make_evaluation_policy(agent, make_hunger_controller(config, agent.observation_dim))
+    if not isinstance(config.agent.hunger, ConditionedHunger):
+        raise ValueError(
+            "`hunger` can only be chosen where the agent is conditioned on it (--hunger random, "
+            f"bandit, battery or conditioned:VALUE), got {hunger} for {config.agent.hunger}."
+        )
     agent.hunger = hunger
     return lambda observation, info: agent.act(observation, deterministic=True)
 
@@ -68,7 +70,7 @@ def record_episode(
     frames = [_frame(environment)]
     finished: list[Episode] = []
     while not finished:
-        action = act(as_batch(collector.observation), collector.present_info)[0].numpy()
+        action = act(as_batch(collector.observation), collector.present_info).numpy()
         _, finished = collector.step(action)
         if not finished:
             frames.append(_frame(environment))

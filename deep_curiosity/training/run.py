@@ -4,8 +4,8 @@ import math
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, fields, replace
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -16,8 +16,12 @@ import torch
 from torch import Tensor
 
 from deep_curiosity import __version__
+from deep_curiosity.configuration import as_plain, flat
+from deep_curiosity.speed.machine import fitted_machine
+from deep_curiosity.speed.precision import matmul_error
 from deep_curiosity.training.checkpoint import load_checkpoint, save_checkpoint
-from deep_curiosity.training.collector import Collector, VectorCollector, evaluate
+from deep_curiosity.training.collector import Collector, evaluate
+from deep_curiosity.training.config import IGNORED, Config
 from deep_curiosity.training.environments import (
     action_dim,
     make_environment,
@@ -25,45 +29,42 @@ from deep_curiosity.training.environments import (
     num_cells,
     observation_dim,
 )
-from deep_curiosity.training.run_log import RunLog, mean_return, success_rate
 from deep_curiosity.training.hunger import HungerFunction
-from deep_curiosity.training.learner import Learner
-from deep_curiosity.speed.machine import prepare_machine
+from deep_curiosity.training.learner import Learner, compiles
 from deep_curiosity.training.log import (
     CONFIG,
     SUMMARY,
-    Records,
+    Log,
     open_folder,
-    read_settings,
+    read_config,
     write_json,
 )
-from deep_curiosity.training.config import Settings
+from deep_curiosity.training.run_log import RunLog, mean_return, success_rate
 
 EVALUATION_SEED = 1_000_003  # apart from the seeds of training, the same in every run
-RESUMABLE = ("out", "resume", "total_steps")  # settings that a resumed run may change
 
 
 @dataclass
 class Run:
     """The parts of a run."""
 
-    settings: Settings
+    config: Config
     evaluation_environment: gymnasium.Env
     learner: Learner
-    collector: Collector | VectorCollector
-    history: RunLog
-    records: Records
+    collector: Collector
+    run_log: RunLog
+    log: Log
     started: float
     """Reading of `time.perf_counter` at which the run would have begun, had it never paused."""
 
     @property
     def finished(self) -> bool:
-        """Whether all steps are taken; with several worlds there may be some more."""
-        return self.history.step >= self.settings.total_steps
+        """Whether all steps are taken; with several environments there may be some more."""
+        return self.run_log.step >= self.config.run.total_steps
 
     def reached(self, interval: int) -> bool:
-        """Whether the newest steps, one of every world, have come to a multiple of an interval."""
-        return self.history.step % interval < self.settings.num_envs
+        """Whether the newest steps, one of every environment, have come to a multiple of an interval."""
+        return self.run_log.step % interval < self.config.environment.num_envs
 
     @property
     def updates_due(self) -> int:
@@ -72,41 +73,43 @@ class Run:
         All together are always the whole part of `update_to_data` times the steps, in exact
         fractions, so that nothing is lost or gained on the way or in a resumed run.
         """
-        ratio = Fraction(str(self.settings.update_to_data))
-        before = self.history.learning_steps
-        return math.floor(ratio * (before + self.settings.num_envs)) - math.floor(ratio * before)
+        ratio = Fraction(str(self.config.run.update_to_data))
+        before = self.run_log.learning_steps
+        return math.floor(ratio * (before + self.config.environment.num_envs)) - math.floor(
+            ratio * before
+        )
 
     def evaluate(self) -> None:
         """Run the deterministic policy for whole episodes."""
         episodes = evaluate(
-            self.learner.act_deterministically,
+            self.learner.evaluation_policy,
             self.evaluation_environment,
-            episodes=self.settings.evaluation_episodes,
+            episodes=self.config.run.evaluation_episodes,
             seed=EVALUATION_SEED,
         )
-        self.history.evaluations.extend(episodes)
-        self.records.scalars(self.history.step, self._latest_evaluation())
+        self.run_log.evaluations.extend(episodes)
+        self.log.scalars(self.run_log.step, self._latest_evaluation())
 
     def progress(self, metrics: dict[str, Tensor]) -> dict[str, float]:
         """Write down everything there is to tell at this step, and return it."""
-        history = self.history
+        run_log = self.run_log
         values = {
-            "episode/return_mean": _number(mean_return(history.episodes)),
-            "episode/success_rate": _number(success_rate(history.episodes)),
-            "time/steps_per_second": history.steps_per_second,
+            "episode/return_mean": _number(mean_return(run_log.episodes)),
+            "episode/success_rate": _number(success_rate(run_log.episodes)),
+            "time/steps_per_second": run_log.steps_per_second,
         }
         total_cells = num_cells(self.evaluation_environment)
         if total_cells is not None:
-            values["episode/coverage"] = _number(history.coverage(total_cells))
+            values["episode/coverage"] = _number(run_log.coverage(total_cells))
         values |= {tag: value.item() for tag, value in metrics.items()}
         values |= {tag: value.item() for tag, value in self.learner.diagnostics().items()}
-        self.records.scalars(history.step, values)
+        self.log.scalars(run_log.step, values)
         values |= self._latest_evaluation()
-        self.records.row(history.step, values)
+        self.log.row(run_log.step, values)
         return values
 
     def _latest_evaluation(self) -> dict[str, float]:
-        episodes = self.history.evaluations[-self.settings.evaluation_episodes :]
+        episodes = self.run_log.evaluations[-self.config.run.evaluation_episodes :]
         return {
             "eval/return": _number(mean_return(episodes, num_recent=len(episodes))),
             "eval/success_rate": _number(success_rate(episodes)),
@@ -114,24 +117,24 @@ class Run:
 
     def save(self) -> None:
         """Write a checkpoint of all there is."""
-        self.history.wall_seconds = time.perf_counter() - self.started
+        self.run_log.wall_seconds = time.perf_counter() - self.started
         state = {
             "learner": self.learner.state_dict(),
             "collector": self.collector.state_dict(),
-            "history": self.history.state_dict(),
+            "run_log": self.run_log.state_dict(),
         }
-        save_checkpoint(self.settings.out, state)
+        save_checkpoint(self.config.run.out, state)
 
     def write_summary(self) -> dict[str, Any]:
         """Write the figures by which runs are compared."""
-        settings = self.settings
+        config = self.config
         summary = {
-            "env_id": settings.env_id,
-            "seed": settings.seed,
-            "bonus": settings.bonus,
-            "prior": settings.prior,
-            "total_steps": self.history.step,
-            **self.history.summary(num_cells(self.evaluation_environment)),
+            "env_id": config.environment.env_id,
+            "seed": config.run.seed,
+            "bonus": config.bonus.kind,
+            "prior": config.agent.prior,
+            "total_steps": self.run_log.step,
+            **self.run_log.summary(num_cells(self.evaluation_environment)),
             "peak_memory_megabytes": peak_memory_megabytes(),
             "versions": {
                 "deep-curiosity": __version__,
@@ -140,95 +143,85 @@ class Run:
                 "mujoco": mujoco.__version__,
             },
         }
-        write_json(settings.out / SUMMARY, summary)
+        write_json(config.run.out / SUMMARY, summary)
         return summary
 
 
 @contextmanager
-def open_run(settings: Settings, sense: HungerFunction | None = None) -> Iterator[Run]:
-    """Begin a run, or continue the one in `settings.resume`; close it however it ends.
+def open_run(
+    config: Config, *, resume: bool = False, hunger: HungerFunction | None = None
+) -> Iterator[Run]:
+    """Begin a run, or continue the one in its folder; close it however it ends.
 
     Args:
-        settings: Of the run.
-        sense: The caller's own sense of hunger.
+        config: Settings of the run.
+        resume: Continue.
+        hunger: The caller's own function of observation and info.
 
     Raises:
-        FileExistsError: If `out` already holds a run.
+        FileExistsError: If `out` already holds a run that is not to be continued.
         FileNotFoundError: If there is no run to continue.
-        ValueError: If the environment is not one the agent can take, or a run is to be merge_config
+        ValueError: If the environment is not one the agent can take, or a run is to be continued
             with other settings than its own.
     """
-    resuming = settings.resume is not None
-    if settings.resume is not None:
-        settings = merge_config(settings, read_settings(settings.resume))
-    settings = replace(settings, matmul_precision=prepare_machine(settings))  # kept when resumed
-    torch.manual_seed(settings.seed)
-    evaluation_environment = make_environment(
-        settings.env_id, settings.env_kwargs, history=settings.history
-    )
-    learner = Learner(
-        settings,
-        observation_dim(evaluation_environment),
-        action_dim(evaluation_environment),
-        sense,
-    )
-    collector = make_collector(settings)
-    if resuming:
-        history = _restore(settings.out, learner, collector)
-        write_json(settings.out / CONFIG, asdict(settings))
-    else:
-        history = RunLog()
-        open_folder(settings)
-    records = Records(settings.out, start=history.step)
-    run = Run(
-        settings,
-        evaluation_environment,
-        learner,
-        collector,
-        history,
-        records,
-        started=time.perf_counter() - history.wall_seconds,
-    )
-    try:
-        if not resuming:
-            run.save()  # so that a run that fails at once can still be merge_config
+    if resume:
+        config = merge_config(config, read_config(config.run.out))
+    with ExitStack() as stack:
+        precision = stack.enter_context(fitted_machine(config.speed))
+        speed = replace(config.speed, matmul_precision=precision)  # kept when resumed
+        config = replace(config, speed=speed)
+        _print_machine(config)
+        torch.manual_seed(config.run.seed)
+        evaluation_environment = make_environment(config.environment)
+        stack.callback(evaluation_environment.close)
+        sizes = observation_dim(evaluation_environment), action_dim(evaluation_environment)
+        learner = Learner(config, *sizes, hunger)
+        collector = make_collector(config)
+        stack.callback(collector.environment.close)
+        if resume:
+            run_log = _restore(config.run.out, learner, collector)
+            write_json(config.run.out / CONFIG, config.to_json())
+        else:
+            run_log = RunLog()
+            open_folder(config)
+        log = Log(config.run.out, start=run_log.step)
+        stack.callback(log.close)
+        started = time.perf_counter() - run_log.wall_seconds
+        run = Run(config, evaluation_environment, learner, collector, run_log, log, started)
+        if not resume:
+            run.save()  # so that a run that fails at once can still be continued
         yield run
-    finally:
-        records.close()
-        collector.environment.close()
-        evaluation_environment.close()
 
 
-def make_collector(settings: Settings) -> Collector | VectorCollector:
+def make_collector(config: Config) -> Collector:
     """Collector of a run, with its environment."""
-    task = settings.env_id, settings.env_kwargs
-    if settings.num_envs == 1:
-        return Collector(make_environment(*task, history=settings.history), settings.seed)
-    environment = make_vector_environment(
-        *task,
-        num_envs=settings.num_envs,
-        vectorization=settings.vectorization,
-        history=settings.history,
-    )
-    return VectorCollector(environment, settings.seed)
+    make = make_environment if config.environment.num_envs == 1 else make_vector_environment
+    return Collector(make(config.environment), config.run.seed)
 
 
-def merge_config(asked: Settings, own: Settings) -> Settings:
-    """Settings with which a run goes on: its own, but for `total_steps` where that is asked for.
+def merge_config(wanted: Config, own: Config) -> Config:
+    """Settings with which a run goes on: its own, but for `total_steps`, which may be changed.
 
     Raises:
-        ValueError: If a setting is asked for that the run does not have.
+        ValueError: If another setting is wanted than the run has.
     """
-    default = Settings()
-    for name in (field.name for field in fields(Settings) if field.name not in RESUMABLE):
-        value = getattr(asked, name)
-        if value not in (getattr(default, name), getattr(own, name)):
+    there, here = flat(own), flat(wanted)
+    for name in there.keys() | here.keys():
+        values = [as_plain(side[name].value) if name in side else None for side in (there, here)]
+        if name not in (*IGNORED, "total_steps") and values[0] != values[1]:
             raise ValueError(
-                f"`{name}` must stay as the run in {own.out} has it, {getattr(own, name)!r}, "
-                f"got {value!r}."
+                f"`{name}` must stay as the run in {own.run.out} has it, {values[0]!r}, "
+                f"got {values[1]!r}."
             )
-    given = asked.total_steps != default.total_steps
-    return replace(own, total_steps=asked.total_steps if given else own.total_steps)
+    return own.override(total_steps=wanted.run.total_steps)
+
+
+def _print_machine(config: Config) -> None:
+    """Say how the run computes."""
+    precision, device = config.speed.matmul_precision, config.speed.device
+    how = "compiled" if compiles(config) else "eager"
+    error = matmul_error(device)
+    print(f"Matrix products {precision}, relative error {error:.1e}; updates {how}", flush=True)
 
 
 def peak_memory_megabytes() -> float | None:
@@ -241,11 +234,11 @@ def peak_memory_megabytes() -> float | None:
     return peak / (2**20 if sys.platform == "darwin" else 2**10)
 
 
-def _restore(folder: Path, learner: Learner, collector: Collector | VectorCollector) -> RunLog:
+def _restore(folder: Path, learner: Learner, collector: Collector) -> RunLog:
     state = load_checkpoint(folder)
     collector.load_state_dict(state["collector"])
     learner.load_state_dict(state["learner"])
-    return RunLog.from_state(state["history"])
+    return RunLog.from_state(state["run_log"])
 
 
 def _number(value: float | None) -> float:

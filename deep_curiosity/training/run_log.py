@@ -29,14 +29,14 @@ class RunLog:
     learning_seconds: float = 0.0
     wall_seconds: float = 0.0
 
-    def record(self, info: dict[str, Any]) -> None:
-        """Note what the environment, or each of several, said of the step just taken."""
+    def on_step(self, info: dict[str, Any]) -> None:
+        """Note what the infos of the environments say of the step just taken."""
         if self.first_success_step is None and np.any(info.get("is_success", False)):
             self.first_success_step = self.step
         for cell in np.ravel(info.get("cell", ())).tolist():
             self.cells.setdefault(int(cell), self.step)
 
-    def learned(self, num_steps: int, seconds: float) -> None:
+    def on_learned(self, num_steps: int, seconds: float) -> None:
         """Count environment steps, taken once learning has begun."""
         self.learning_steps += num_steps
         self.learning_seconds += seconds

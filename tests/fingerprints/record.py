@@ -12,7 +12,6 @@ import hashlib
 import sys
 import tempfile
 from collections.abc import Callable, Iterable
-from dataclasses import replace
 from pathlib import Path
 
 import gymnasium
@@ -40,14 +39,14 @@ from deep_curiosity.integrations.stable_baselines3 import (
     CuriousRolloutBuffer,
 )
 from deep_curiosity.integrations.torchrl import CuriosityTransform, CuriousActorCriticLoss
-from deep_curiosity.bonuses.registry import BonusLearner, make_bonus
-from deep_curiosity.training import Settings, train
+from deep_curiosity.bonuses import BonusLearner, make_bonus
+from deep_curiosity.training import Config, train
 from deep_curiosity.training.checkpoint import load_checkpoint
 
 NUM_STEPS = 1_500
 NUM_UPDATES = 300  # of torchrl, on one rollout
 PENDULUM = "deep_curiosity/PendulumSwingup-v0"
-BASE = Settings(
+BASE = Config.of(
     env_id="PendulumSwingup",
     env_kwargs={"action_cost": 0.1},
     total_steps=NUM_STEPS,
@@ -56,19 +55,17 @@ BASE = Settings(
     matmul_precision="highest",
 )
 TRAINED = {
-    "plain": replace(BASE, bonus="none"),
+    "plain": BASE.override(bonus="none"),
     "default": BASE,
-    "learned prior": replace(BASE, prior="learned"),
-    "random hunger": replace(BASE, hunger_control="draws"),
-    "four environments": replace(BASE, num_envs=4),
-    "frame stack": replace(BASE, env_id="PendulumHiddenVelocity", history=3),
-    "nearest neighbours": replace(BASE, bonus="nearest-neighbours"),
-    "three steps": replace(BASE, reward_steps=3, curiosity_steps=2),
-    "exact": replace(
-        BASE, member_per_row=False, actor_stride=1, critic_per_row=False, refresh_interval=10
-    ),
+    "learned prior": BASE.override(prior="learned"),
+    "random hunger": BASE.override(hunger="random"),
+    "four environments": BASE.override(num_envs=4),
+    "frame stack": BASE.override(env_id="PendulumHiddenVelocity", frame_stack=3),
+    "nearest neighbours": BASE.override(bonus="nearest-neighbours"),
+    "three steps": BASE.override(reward_steps=3, curiosity_steps=2),
+    "exact": BASE.override("exact"),
 }
-CURIOSITY = {"hidden_dims": (64, 64), "refresh_interval": 10, "member_per_row": False}
+CURIOSITY = {"hidden_dims": (64, 64), "refresh_interval": 10, "members": "all"}
 
 
 def weights_hash(tensors: Iterable[Tensor]) -> str:
@@ -80,12 +77,12 @@ def weights_hash(tensors: Iterable[Tensor]) -> str:
     return hashlib.sha256("".join(hashes).encode()).hexdigest()[:16]
 
 
-def trained(settings: Settings) -> tuple[float, str]:
+def trained(config: Config) -> tuple[float, str]:
     """A run of the trainer."""
     with tempfile.TemporaryDirectory() as folder:
-        settings = replace(settings, out=Path(folder) / "run")
-        summary = train(settings, show_progress=False)
-        learner = load_checkpoint(settings.out)["learner"]
+        config = config.override(out=Path(folder) / "run")
+        summary = train(config, show_progress=False)
+        learner = load_checkpoint(config.run.out)["learner"]
     weights = [
         value
         for part in ("agent", "bonus")

@@ -1,6 +1,6 @@
 import torch
 
-from deep_curiosity.nn.hashing import HASH_OFFSET, scrambled
+from deep_curiosity.nn.statistics import HASH_OFFSET, scrambled
 
 
 def test_every_bit_of_scrambled_numbers_is_a_fair_coin():

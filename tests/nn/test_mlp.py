@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import nn
 
-from deep_curiosity.nn.mlp import StackedLinear, StackedMLP, frozen, restore_order, assign_rows
+from deep_curiosity.nn.networks import StackedLinear, StackedMLP, frozen, restore_order, assign_rows
 
 
 def member_as_sequential(network, member):

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from deep_curiosity.nn.normalization import NUM_DRAWN, RobustMoments, RunningMoments
+from deep_curiosity.nn.statistics import NUM_DRAWN, RobustMoments, RunningMoments
 
 
 def test_moments_of_batches_are_those_of_all_rows():

@@ -12,7 +12,7 @@ from copy import deepcopy
 import torch
 from deep_curiosity import CuriosityBonus, CuriousSAC
 from deep_curiosity.speed.compile import compiled
-from deep_curiosity.nn.adam import Adam
+from deep_curiosity.nn.networks import Adam
 from deep_curiosity.speed.machine import choose_matmul_precision
 from deep_curiosity.transitions import Transition
 

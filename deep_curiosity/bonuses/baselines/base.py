@@ -1,4 +1,4 @@
-"""What all rivals share: checks at the door, whitened observations, a standardised bonus."""
+"""What all baselines share: checks at the door, whitened observations, a standardised bonus."""
 
 from abc import abstractmethod
 
@@ -7,8 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from deep_curiosity.bonuses.base import Bonus, Policy
-from deep_curiosity.nn.normalization import RunningMoments, Standardization
-from deep_curiosity.nn.every import Every
+from deep_curiosity.nn.statistics import Every, RunningMoments, Standardization
 from deep_curiosity.transitions import Transition, check_batch, check_counts, check_transition
 
 
@@ -79,10 +78,15 @@ class BaselineBonus(Bonus):
             ValueError: If a field has the wrong shape or holds NaN or infinity.
         """
         self._check(transition)
-        return self.fit(transition)
+        return self.network_loss(transition)
 
     @torch.no_grad()
-    def observe(self, transition: Transition, policy: Policy | None = None) -> None:
+    def observe(
+        self,
+        transition: Transition,
+        policy: Policy | None = None,
+        visited: Transition | None = None,
+    ) -> None:
         """Update the statistics from a batch, at every `refresh_interval`-th call.
 
         Raises:
@@ -90,7 +94,8 @@ class BaselineBonus(Bonus):
             ValueError: If a field has the wrong shape or holds NaN or infinity. The statistics
                 are then as before.
         """
-        if self.passes():
+        if self.should_skip:
+            self.skip()
             return
         self._check(transition)
         self.observation_moments.update(transition.observation)
@@ -99,9 +104,14 @@ class BaselineBonus(Bonus):
         self.standardization.update(self.score(observation, action, next_observation))
         self.every.count()
 
-    def passes(self) -> bool:
-        """Whether the next batch would only be counted, and then count it."""
-        return self.every.passes()
+    @property
+    def should_skip(self) -> bool:
+        """Whether the next batch would only be counted."""
+        return self.every.should_skip
+
+    def skip(self) -> None:
+        """Count a batch that is not shown."""
+        self.every.count()
 
     def metrics(self) -> dict[str, Tensor]:
         """Running mean and standard deviation of the score, in its own unit."""
@@ -117,7 +127,7 @@ class BaselineBonus(Bonus):
     ) -> Float[Tensor, " batch"]:
         """Score of each pair in its own unit, with all networks held fixed."""
 
-    def fit(self, transition: Transition) -> Float[Tensor, ""]:
+    def network_loss(self, transition: Transition) -> Float[Tensor, ""]:
         """Loss of the networks; zero where there are none."""
         return transition.reward.new_zeros((), requires_grad=True)
 

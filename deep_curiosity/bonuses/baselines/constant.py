@@ -34,11 +34,17 @@ class ConstantBonus(Bonus):
         """Zero: there is nothing to learn."""
         return self.value.new_zeros((), requires_grad=True)
 
-    def observe(self, transition: Transition, policy: Policy | None = None) -> None:
-        """Nothing to keep."""
+    def observe(
+        self,
+        transition: Transition,
+        policy: Policy | None = None,
+        visited: Transition | None = None,
+    ) -> None:
+        """Keep nothing."""
 
-    def passes(self) -> bool:
-        """Always: there is nothing to see."""
+    @property
+    def should_skip(self) -> bool:
+        """Always: there is nothing to look at."""
         return True
 
     def metrics(self) -> dict[str, Tensor]:

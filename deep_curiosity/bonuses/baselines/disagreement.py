@@ -1,17 +1,15 @@
-"""Bonuses of models that disagree: their variance, and the information that it promises."""
+"""Models that disagree: the variance of their predictions."""
 
 from collections.abc import Sequence
 
-import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
 from deep_curiosity.bonuses.base import Policy
-from deep_curiosity.nn.mlp import StackedMLP, frozen
-from deep_curiosity.nn.normalization import RunningMoments
 from deep_curiosity.bonuses.baselines.base import BaselineBonus
+from deep_curiosity.nn.networks import StackedMLP, frozen
+from deep_curiosity.nn.statistics import RunningMoments
 from deep_curiosity.transitions import Transition
-from deep_curiosity.bonuses.weight_tuning import TunedWeight
 
 
 class PointEnsemble(nn.Module):
@@ -20,22 +18,22 @@ class PointEnsemble(nn.Module):
     Args:
         in_features: Length of what they are told.
         out_features: Length of what they predict.
-        members: Number of models, at least 2.
+        num_members: Number of models, at least 2.
         hidden_dims: Width of every hidden layer.
 
     Raises:
-        ValueError: If `members` is below 2.
+        ValueError: If `num_members` is below 2.
     """
 
     def __init__(
-        self, in_features: int, out_features: int, *, members: int, hidden_dims: Sequence[int]
+        self, in_features: int, out_features: int, *, num_members: int, hidden_dims: Sequence[int]
     ) -> None:
         super().__init__()
-        if members < 2:
+        if num_members < 2:
             raise ValueError(
-                f"`members` must be at least 2 to measure disagreement, got {members}."
+                f"`num_members` must be at least 2 to measure disagreement, got {num_members}."
             )
-        self.network = StackedMLP(members, in_features, hidden_dims, out_features)
+        self.network = StackedMLP(num_members, in_features, hidden_dims, out_features)
         self.outcome_moments = RunningMoments(out_features)
 
     def variance(
@@ -67,7 +65,7 @@ class DisagreementBonus(BaselineBonus):
         center: Subtract the running mean.
         scale: Divide by the running standard deviation.
         refresh_interval: Calls of `observe` from one that looks at its batch to the next.
-        members: Number of models, at least 2.
+        num_members: Number of models, at least 2.
         hidden_dims: Width of every hidden layer.
 
     Reference: Pathak et al., "Self-Supervised Exploration via Disagreement" (2019),
@@ -80,11 +78,11 @@ class DisagreementBonus(BaselineBonus):
         observation_dim: int,
         action_dim: int,
         *,
-        weight: float = 1.0,
-        center: bool = False,
-        scale: bool = False,
-        refresh_interval: int = 1,
-        members: int = 5,
+        weight: float = 0.1,
+        center: bool = True,
+        scale: bool = True,
+        refresh_interval: int = 20,
+        num_members: int = 5,
         hidden_dims: Sequence[int] = (256, 256),
     ) -> None:
         super().__init__(
@@ -98,7 +96,7 @@ class DisagreementBonus(BaselineBonus):
         self.ensemble = PointEnsemble(
             observation_dim + action_dim,
             observation_dim,
-            members=members,
+            num_members=num_members,
             hidden_dims=hidden_dims,
         )
 
@@ -108,119 +106,16 @@ class DisagreementBonus(BaselineBonus):
         """Mean variance of the predictions, in whitened units squared."""
         return self.ensemble.variance(self.pair_features(observation, action)).mean(-1)
 
-    def fit(self, transition: Transition) -> Tensor:
+    def network_loss(self, transition: Transition) -> Tensor:
         """Squared error of the predictions."""
         features = self.pair_features(transition.observation, transition.action)
-        return self.ensemble.loss(features, _change(transition))
+        return self.ensemble.loss(features, change_of(transition))
 
     def update_statistics(self, transition: Transition, policy: Policy | None) -> None:
         """Statistics of the changes."""
-        self.ensemble.outcome_moments.update(_change(transition))
+        self.ensemble.outcome_moments.update(change_of(transition))
 
 
-class InformationGainBonus(BaselineBonus):
-    r"""Upper bound of what an outcome would tell of the model, in nats a dimension.
-
-    .. math:: \frac{1}{d + 1} \sum_i \log(1 + Var_e[\hat y_{e,i}(x, a)] / \sigma^2)
-
-    where the outcome `y` is the change of state and the reward. Its weight is tuned: it rises
-    while the policy of now gains less than the policies of the recent past did, and falls while it
-    gains more, see `TunedWeight`.
-
-    Args:
-        observation_dim: Length of an observation.
-        action_dim: Length of an action; actions lie in [-1, 1].
-        weight: Factor of the bonus, the initial one where it is tuned.
-        center: Subtract the running mean.
-        scale: Divide by the running standard deviation.
-        refresh_interval: Calls of `observe` from one that looks at its batch to the next.
-        members: Number of models, at least 2.
-        hidden_dims: Width of every hidden layer.
-        noise_std: Standard deviation of the outcome's noise, in whitened units.
-        tune_weight: Adjust the weight in `observe`, where it is given a policy.
-        weight_learning_rate: Step size of the log weight.
-
-    Raises:
-        ValueError: If a number is out of range.
-
-    Reference: Sukhija et al., "MaxInfoRL: Boosting exploration in reinforcement learning through
-    information gain maximization" (2024), https://arxiv.org/abs/2412.12098.
-    """
-
-    def __init__(
-        self,
-        observation_dim: int,
-        action_dim: int,
-        *,
-        weight: float = 1.0,
-        center: bool = True,
-        scale: bool = True,
-        refresh_interval: int = 1,
-        members: int = 5,
-        hidden_dims: Sequence[int] = (256, 256),
-        noise_std: float = 1e-3,
-        tune_weight: bool = True,
-        weight_learning_rate: float = 3e-4,
-    ) -> None:
-        super().__init__(
-            observation_dim,
-            action_dim,
-            weight=weight,
-            center=center,
-            scale=scale,
-            refresh_interval=refresh_interval,
-        )
-        if not 0 < noise_std < float("inf"):
-            raise ValueError(f"`noise_std` must be positive and finite, got {noise_std}.")
-        self.noise_std = noise_std
-        self.tune_weight = tune_weight
-        self.tuned_weight = TunedWeight(learning_rate=weight_learning_rate)
-        self.ensemble = PointEnsemble(
-            observation_dim + action_dim,
-            observation_dim + 1,
-            members=members,
-            hidden_dims=hidden_dims,
-        )
-
-    def forward(
-        self,
-        observation: Float[Tensor, "batch observation_dim"],
-        action: Float[Tensor, "batch action_dim"],
-        next_observation: Float[Tensor, "batch observation_dim"] | None = None,
-    ) -> Float[Tensor, " batch"]:
-        """Weighted, standardised gain of each pair, differentiable in both."""
-        return self.tuned_weight.factor * super().forward(observation, action, next_observation)
-
-    def score(
-        self, observation: Tensor, action: Tensor, next_observation: Tensor | None
-    ) -> Tensor:
-        """Information gain of each pair, in nats a dimension."""
-        variance = self.ensemble.variance(self.pair_features(observation, action))
-        return torch.log1p(variance / self.noise_std**2).mean(-1)
-
-    def fit(self, transition: Transition) -> Tensor:
-        """Squared error of the predictions."""
-        features = self.pair_features(transition.observation, transition.action)
-        return self.ensemble.loss(features, _change_and_reward(transition))
-
-    def update_statistics(self, transition: Transition, policy: Policy | None) -> None:
-        """Statistics of the outcomes; and the step of the weight, where a policy is given."""
-        self.ensemble.outcome_moments.update(_change_and_reward(transition))
-        if policy is None or not self.tune_weight:
-            return
-        action = policy(transition.observation)
-        gain = self.standardization(self.score(transition.observation, action, None)).mean()
-        self.tuned_weight.follow(gain, self.every.interval)
-
-    def metrics(self) -> dict[str, Tensor]:
-        """Statistics of the gain, in nats a dimension, and the weight as it now stands."""
-        weight = self.standardization.weight * self.tuned_weight.factor
-        return super().metrics() | {"weight": weight}
-
-
-def _change(transition: Transition) -> Float[Tensor, "batch observation_dim"]:
+def change_of(transition: Transition) -> Float[Tensor, "batch observation_dim"]:
+    """Change of state of each transition."""
     return transition.next_observation - transition.observation
-
-
-def _change_and_reward(transition: Transition) -> Float[Tensor, "batch outcome_dim"]:
-    return torch.cat([_change(transition), transition.reward.unsqueeze(-1)], dim=-1)

@@ -51,10 +51,10 @@ class HashCountBonus(BaselineBonus):
         observation_dim: int,
         action_dim: int,
         *,
-        weight: float = 0.01,
-        center: bool = False,
-        scale: bool = False,
-        refresh_interval: int = 1,
+        weight: float = 0.1,
+        center: bool = True,
+        scale: bool = True,
+        refresh_interval: int = 20,
         bits: int = 32,
     ) -> None:
         super().__init__(

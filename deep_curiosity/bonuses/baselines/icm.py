@@ -6,8 +6,8 @@ from typing import ClassVar, Literal, get_args
 import torch
 from torch import Tensor, nn
 
-from deep_curiosity.nn.mlp import StackedMLP, frozen
 from deep_curiosity.bonuses.baselines.base import BaselineBonus
+from deep_curiosity.nn.networks import StackedMLP, frozen
 from deep_curiosity.transitions import Transition, check_counts
 
 Features = Literal["inverse", "state"]
@@ -47,10 +47,10 @@ class ICMBonus(BaselineBonus):
         observation_dim: int,
         action_dim: int,
         *,
-        weight: float = 1.0,
-        center: bool = False,
-        scale: bool = False,
-        refresh_interval: int = 1,
+        weight: float = 0.1,
+        center: bool = True,
+        scale: bool = True,
+        refresh_interval: int = 20,
         features: Features = "inverse",
         feature_dim: int = 32,
         hidden_dims: Sequence[int] = (256, 256),
@@ -84,7 +84,7 @@ class ICMBonus(BaselineBonus):
         with frozen(self):
             return self._error(self._encode(observation), action, self._encode(next_observation))
 
-    def fit(self, transition: Transition) -> Tensor:
+    def network_loss(self, transition: Transition) -> Tensor:
         """Loss of forward and inverse model; the forward model does not shape its own target."""
         before = self._encode(transition.observation)
         after = self._encode(transition.next_observation)

@@ -44,10 +44,10 @@ class NearestNeighboursBonus(BaselineBonus):
         observation_dim: int,
         action_dim: int,
         *,
-        weight: float = 0.05,
-        center: bool = False,
+        weight: float = 0.1,
+        center: bool = True,
         scale: bool = True,
-        refresh_interval: int = 1,
+        refresh_interval: int = 20,
         neighbours: int = 12,
         memory: int = 2048,
     ) -> None:

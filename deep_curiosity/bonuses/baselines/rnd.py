@@ -5,8 +5,8 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from deep_curiosity.nn.mlp import StackedMLP, frozen
 from deep_curiosity.bonuses.baselines.base import BaselineBonus
+from deep_curiosity.nn.networks import StackedMLP, frozen
 from deep_curiosity.transitions import Transition, check_counts
 
 OBSERVATION_BOUND = 5.0  # standard deviations at which the paper cuts observations
@@ -20,11 +20,12 @@ class RNDBonus(BaselineBonus):
     Args:
         observation_dim: Length of an observation.
         action_dim: Length of an action; it is not looked at.
-        weight: Factor of the bonus. The paper weighs it half as much as reward.
+        weight: Factor of the bonus; the paper weighs it half as much as reward, and does not
+            centre it.
         center: Subtract the running mean.
         scale: Divide by the running standard deviation.
         refresh_interval: Calls of `observe` from one that looks at its batch to the next.
-        features: Length of the random network's output.
+        random_features: Outputs of the random network.
         hidden_dims: Width of every hidden layer of both networks.
 
     Raises:
@@ -42,11 +43,11 @@ class RNDBonus(BaselineBonus):
         observation_dim: int,
         action_dim: int,
         *,
-        weight: float = 0.5,
-        center: bool = False,
+        weight: float = 0.1,
+        center: bool = True,
         scale: bool = True,
-        refresh_interval: int = 1,
-        features: int = 512,
+        refresh_interval: int = 20,
+        random_features: int = 512,
         hidden_dims: Sequence[int] = (256, 256),
     ) -> None:
         super().__init__(
@@ -57,9 +58,11 @@ class RNDBonus(BaselineBonus):
             scale=scale,
             refresh_interval=refresh_interval,
         )
-        check_counts(features=features)
-        self.random = StackedMLP(1, observation_dim, hidden_dims, features).requires_grad_(False)
-        self.predictor = StackedMLP(1, observation_dim, hidden_dims, features)
+        check_counts(random_features=random_features)
+        self.random = StackedMLP(1, observation_dim, hidden_dims, random_features).requires_grad_(
+            False
+        )
+        self.predictor = StackedMLP(1, observation_dim, hidden_dims, random_features)
 
     def score(
         self, observation: Tensor, action: Tensor, next_observation: Tensor | None
@@ -69,7 +72,7 @@ class RNDBonus(BaselineBonus):
         with frozen(self.predictor):
             return self._error(next_observation)
 
-    def fit(self, transition: Transition) -> Tensor:
+    def network_loss(self, transition: Transition) -> Tensor:
         """The same error, averaged over the batch."""
         return self._error(transition.next_observation).mean()
 

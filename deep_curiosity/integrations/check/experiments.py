@@ -189,7 +189,7 @@ def _check_actor(copies: _Copies) -> Finding:
         "actor",
         moved > 0,
         f"another bonus moves the actor by {moved:.3g} in {NUM_UPDATES} updates",
-        "let the actor climb the critic that learns from the bonus",
+        "let the actor maximise the critic that learns from the bonus",
     )
 
 

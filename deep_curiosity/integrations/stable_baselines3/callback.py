@@ -98,14 +98,14 @@ class CuriosityCallback(BaseCallback):
     def _record_step(self, buffer: CuriousRolloutBuffer) -> None:
         following = self._raw(self.locals["new_obs"])
         infos, done = self.locals["infos"], self.locals["dones"]
-        see = buffer.attachment.see
-        successor = np.array(see(following))
+        select = buffer.attachment.select_observation
+        successor = np.array(select(following))
         for index in np.flatnonzero(done):  # the environment was reset: `following` is a start
-            successor[index] = see(self._unnormalized(infos[index]["terminal_observation"]))
+            successor[index] = select(self._unnormalized(infos[index]["terminal_observation"]))
         timeout = np.array([info.get("TimeLimit.truncated", False) for info in infos])
         actions = self.locals["clipped_actions"]
         buffer.record(
-            see(self._observation), actions, self._raw_reward(), successor, done, timeout
+            select(self._observation), actions, self._raw_reward(), successor, done, timeout
         )
         self._observation = following
 

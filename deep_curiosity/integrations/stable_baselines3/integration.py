@@ -45,13 +45,13 @@ class _Integration(Integration, Generic[Agent]):
     @property
     def bonus(self) -> Bonus:
         """The bonus in use, not a copy."""
-        return self._companion.learner.bonus
+        return self._attachment.learner.bonus
 
     def collect(self, num_steps: int, *, seed: int) -> Transition:
         """Reset the environments, and let the agent act for some steps of all of them."""
         env = self.model.get_env()
         assert env is not None
-        with recorded(env.unwrapped, self._companion) as steps:
+        with recorded(env.unwrapped, self._attachment) as steps:
             self.model.set_random_seed(seed)
             _, callback = self.model._setup_learn(num_steps, CuriosityCallback())
             callback.on_training_start({}, {})
@@ -68,7 +68,7 @@ class _Integration(Integration, Generic[Agent]):
         raise NotImplementedError
 
     @property
-    def _companion(self) -> BonusAttachment:
+    def _attachment(self) -> BonusAttachment:
         attachment: BonusAttachment = self._buffer.attachment
         return attachment
 

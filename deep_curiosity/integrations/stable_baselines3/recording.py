@@ -53,12 +53,12 @@ def _ground_truth(
     infos: list[dict[str, Any]],
 ) -> Transition:
     """A step of all environments, copied before any wrapper can change it."""
-    successor = np.array(attachment.see(following))
+    successor = np.array(attachment.select_observation(following))
     for index in np.flatnonzero(done):
-        successor[index] = attachment.see(infos[index]["terminal_observation"])
+        successor[index] = attachment.select_observation(infos[index]["terminal_observation"])
     timeout = np.array([info["TimeLimit.truncated"] for info in infos])
     return Transition(
-        observation=batch_of(attachment.see(observation)),
+        observation=batch_of(attachment.select_observation(observation)),
         action=batch_of(scaled(action, attachment.action_space)),
         reward=batch_of(reward),
         next_observation=batch_of(successor),

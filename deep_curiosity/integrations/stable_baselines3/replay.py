@@ -95,12 +95,12 @@ class CuriousReplayBuffer(ReplayBuffer):
         """
         done = mask_of(self.dones[rows, columns], self.device)
         timeout = mask_of(self.timeouts[rows, columns], self.device)
-        see = self.attachment.see
+        select = self.attachment.select_observation
         return Transition(
-            observation=batch_of(see(self.observations)[rows, columns], self.device),
+            observation=batch_of(select(self.observations)[rows, columns], self.device),
             action=batch_of(self.actions[rows, columns], self.device),
             reward=batch_of(self.rewards[rows, columns], self.device),
-            next_observation=batch_of(see(self.next_observations)[rows, columns], self.device),
+            next_observation=batch_of(select(self.next_observations)[rows, columns], self.device),
             terminated=done & ~timeout,
             truncated=done & timeout,
         )
@@ -116,12 +116,12 @@ class CuriousReplayBuffer(ReplayBuffer):
         columns = np.random.randint(0, self.n_envs, size=len(batch_inds))  # noqa: NPY002
         transition = self.transition(batch_inds, columns)
         self.attachment.to(self.device).learn(transition, samples.observations)
-        bonus = self._ask(transition, batch_inds, columns)
+        bonus = self._compute_bonus(transition, batch_inds, columns)
         return samples._replace(rewards=samples.rewards + bonus.unsqueeze(-1))
 
-    def _ask(self, transition: Transition, rows: np.ndarray, columns: np.ndarray) -> Tensor:
+    def _compute_bonus(self, transition: Transition, rows: np.ndarray, columns: np.ndarray) -> Tensor:
         """What is added to the rewards of a batch, which the bonus has just seen."""
-        return self.attachment.ask(transition)
+        return self.attachment.compute(transition)
 
 
 class CuriousNStepReplayBuffer(CuriousReplayBuffer, NStepReplayBuffer):  # type: ignore[misc]
@@ -134,13 +134,13 @@ class CuriousNStepReplayBuffer(CuriousReplayBuffer, NStepReplayBuffer):  # type:
         **options: As for `CuriousReplayBuffer`.
     """
 
-    def _ask(self, transition: Transition, rows: np.ndarray, columns: np.ndarray) -> Tensor:
+    def _compute_bonus(self, transition: Transition, rows: np.ndarray, columns: np.ndarray) -> Tensor:
         steps = (rows[:, None] + np.arange(self.n_steps)) % self.buffer_size  # batch n_steps
         columns = np.broadcast_to(columns[:, None], steps.shape)
         summed = self._before_the_end(steps, columns)
         bonus = torch.zeros(steps.shape, device=self.device)
         asked = self.transition(steps[summed], columns[summed])
-        bonus[mask_of(summed, self.device)] = self.attachment.ask(asked)
+        bonus[mask_of(summed, self.device)] = self.attachment.compute(asked)
         return bonus @ self.gamma ** torch.arange(self.n_steps, device=self.device)
 
     def _before_the_end(self, steps: np.ndarray, columns: np.ndarray) -> np.ndarray:

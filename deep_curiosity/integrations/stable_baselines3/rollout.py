@@ -143,7 +143,7 @@ class CuriousRolloutBuffer(RolloutBuffer):
         """Let the bonus learn from the rollout, then compute advantages of reward plus bonus."""
         rollout = self.transition()
         self._learn(rollout)
-        bonus = self.attachment.ask(rollout).reshape(self.rewards.shape)
+        bonus = self.attachment.compute(rollout).reshape(self.rewards.shape)
         rewards = self.rewards
         self.rewards = rewards + bonus.cpu().numpy()
         super().compute_returns_and_advantage(last_values, dones)

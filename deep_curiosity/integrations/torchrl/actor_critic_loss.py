@@ -13,24 +13,18 @@ from torchrl.objectives import SACLoss, ValueEstimators
 from torchrl.objectives.sac import compute_rsample_log_prob
 from torchrl.objectives.utils import _cache_values, build_value_estimator, distance_loss
 
-from deep_curiosity.agent.prior import LearnedPrior
 from deep_curiosity.integrations.torchrl.action_box import Key
 from deep_curiosity.integrations.torchrl.arguments import (
     action_box,
-    check_climbable,
+    check_differentiable,
     check_numbers,
     check_options,
     target_entropy,
 )
-from deep_curiosity.integrations.torchrl.tensordicts import (
-    TransitionKeys,
-    TransitionReader,
-    has_observed,
-)
-from deep_curiosity.agent.sac import RATE_PER_ACTION_DIM
+from deep_curiosity.integrations.torchrl.tensordicts import TransitionKeys, TransitionReader
+from deep_curiosity.agent.networks import PRIORS, log_abs_det_tanh
 from deep_curiosity.bonuses.base import Bonus
-from deep_curiosity.distributions import flat_log_prob
-from deep_curiosity.nn.mlp import frozen
+from deep_curiosity.nn.networks import frozen
 
 
 class ActionDraw(NamedTuple):
@@ -60,7 +54,7 @@ class CuriousActorCriticLoss(SACLoss):
         qvalue_network: As `SACLoss` takes it; the curiosity critics get the same architecture.
         bonus: BonusFunction for each batch; `None` for no curiosity.
         curiosity_discount: Of the bonus, per step. 0 is the paper's equation as written: the actor
-            climbs the bonus itself, differentiated through the model, and no critic learns it.
+            maximises the bonus itself, differentiated through the model, and no critic learns it.
         hunger: Weight of the extrinsic value, alpha; may be set at any step.
         prior: `"uniform"` for soft actor-critic's flat prior, `"learned"` for the action marginal.
         target_information_rate: Nats per action by which the policy may differ from the prior. By
@@ -74,7 +68,7 @@ class CuriousActorCriticLoss(SACLoss):
 
     Raises:
         TypeError: If an option of `SACLoss` means nothing here.
-        ValueError: If a number is out of range, or a bonus that scores outcomes is to be climbed.
+        ValueError: If a number is out of range, or a bonus that scores outcomes is to be maximised.
 
     Reference: Still & Precup (2012), equations (10), (14), (21); Haarnoja et al., "Soft
     Actor-Critic Algorithms and Applications" (2018), https://arxiv.org/abs/1812.05905.
@@ -112,10 +106,10 @@ class CuriousActorCriticLoss(SACLoss):
     ) -> None:
         check_options(options)
         check_numbers(curiosity_discount, hunger, prior)
-        check_climbable(bonus, curiosity_discount)
+        check_differentiable(bonus, curiosity_discount)
         box = action_box(actor_network, action_spec)
         if target_information_rate is None and prior == "learned":
-            target_information_rate = RATE_PER_ACTION_DIM["learned"] * box.dim
+            target_information_rate = PRIORS[prior].default_rate * box.dim
         super().__init__(
             actor_network,
             qvalue_network,
@@ -126,8 +120,8 @@ class CuriousActorCriticLoss(SACLoss):
         self.box = box
         self.reader = None if bonus is None else TransitionReader(bonus, self.tensor_keys, box)
         self.curiosity_discount = curiosity_discount
-        self.soft_backup = prior == "uniform" if soft_backup is None else soft_backup
-        self.prior = LearnedPrior(box.dim) if prior == "learned" else None
+        self.soft_backup = PRIORS[prior].soft_backup if soft_backup is None else soft_backup
+        self.prior = PRIORS[prior](box.dim) if prior == "learned" else None
         self.register_buffer("hunger", torch.tensor(float(hunger)))
         if self.has_curiosity_critic:
             self._make_curiosity_critics(actor_network, qvalue_network, options)
@@ -232,7 +226,7 @@ class CuriousActorCriticLoss(SACLoss):
             return ActionDraw(action, log_prob, log_prob)
         pre_action = self.box.pre_action(action)
         with frozen(self.prior):
-            log_prior = self.prior.log_prob(pre_action) - flat_log_prob(pre_action)
+            log_prior = self.prior.log_prob(pre_action) - log_abs_det_tanh(pre_action)
         log_prior = log_prior - self.box.log_half_volume  # density in the units of the action
         return ActionDraw(action, log_prob, log_prob - log_prior)
 
@@ -262,19 +256,19 @@ class CuriousActorCriticLoss(SACLoss):
         return self._reduced(loss, tensordict), (value - target).abs().detach().amax(0)
 
     def _curiosity_value(self, chosen: TensorDictBase, reader: TransitionReader) -> Tensor:
-        """Curiosity value of the policy's actions, for the actor to climb."""
+        """Curiosity value of the policy's actions, for the actor to maximise."""
         if self.has_curiosity_critic:
             return self._lower_value(chosen, self._cached_detached_curiosity_params)
         observation, action = reader.read_pair(chosen)
         shape = chosen.get(self.tensor_keys.observation).shape[:-1]
-        if not has_observed(reader.bonus):
+        if not reader.bonus.ready:
             return observation.new_zeros(shape)
         return reader.bonus(observation, action).reshape(shape)
 
     def _bonus(self, tensordict: TensorDictBase, reader: TransitionReader) -> Tensor:
         """Bonus of each transition as a reward."""
         reward = tensordict.get(("next", self.tensor_keys.reward))
-        return reader.ask(reader.read(tensordict), like=reward)
+        return reader.compute(reader.read(tensordict), like=reward)
 
     def _values(
         self, tensordict: TensorDictBase, params: TensorDictBase | TensorDictParams

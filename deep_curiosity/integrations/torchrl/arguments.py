@@ -7,7 +7,7 @@ from tensordict.nn import ProbabilisticTensorDictSequential
 from torchrl.data import TensorSpec
 
 from deep_curiosity.integrations.torchrl.action_box import ActionBox
-from deep_curiosity.agent.sac import RATE_PER_ACTION_DIM
+from deep_curiosity.agent.networks import PRIORS
 from deep_curiosity.bonuses.base import Bonus
 
 REFUSED_OPTIONS = {"value_network", "target_entropy", "skip_done_states", "delay_actor"}
@@ -55,11 +55,11 @@ def check_numbers(curiosity_discount: float, hunger: float, prior: str) -> None:
         raise ValueError(f"`curiosity_discount` must lie in [0, 1), got {curiosity_discount}.")
     if not 0 <= hunger < math.inf:
         raise ValueError(f"`hunger` must be finite and not negative, got {hunger}.")
-    if prior not in RATE_PER_ACTION_DIM:
+    if prior not in PRIORS:
         raise ValueError(f"`prior` must be 'uniform' or 'learned', got {prior!r}.")
 
 
-def check_climbable(bonus: Bonus | None, curiosity_discount: float) -> None:
+def check_differentiable(bonus: Bonus | None, curiosity_discount: float) -> None:
     """Reject a bonus without gradient in the action, where the actor would need it.
 
     Raises:

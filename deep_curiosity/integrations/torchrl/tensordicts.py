@@ -13,7 +13,6 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from deep_curiosity.integrations.torchrl.action_box import ActionBox, Key
 from deep_curiosity.bonuses.base import Bonus
-from deep_curiosity.bonuses.curiosity import CuriosityBonus
 from deep_curiosity.transitions import Transition
 
 
@@ -76,12 +75,12 @@ class TransitionReader:
         return observation, self.box.to_unit(action)
 
     @torch.no_grad()
-    def ask(self, transition: Transition, like: Tensor) -> Tensor:
+    def compute(self, transition: Transition, like: Tensor) -> Tensor:
         """Bonus of each transition, in shape, dtype and device like the reward.
 
         Zero while the bonus cannot be asked yet.
         """
-        if not has_observed(self.bonus):
+        if not self.bonus.ready:
             return torch.zeros_like(like)
         observation, action, _, next_observation, *_ = transition
         return self.bonus(observation, action, next_observation).reshape(like.shape).to(like)
@@ -133,11 +132,6 @@ def reference_tensor(bonus: Bonus) -> Tensor:
     """A tensor of the dtype and on the device in which the bonus computes."""
     tensors = chain(bonus.parameters(), bonus.buffers())
     return next((value for value in tensors if value.is_floating_point()), torch.zeros(()))
-
-
-def has_observed(bonus: Bonus) -> bool:
-    """Whether the bonus can be asked: curiosity must know first where one usually ends up."""
-    return not (isinstance(bonus, CuriosityBonus) and bonus.marginal.is_empty)
 
 
 def _entry(tensordict: TensorDictBase, key: Key) -> Any:

@@ -13,7 +13,7 @@ from deep_curiosity.integrations.torchrl.tensordicts import (
     TransitionReader,
 )
 from deep_curiosity.bonuses.base import Bonus
-from deep_curiosity.bonuses.registry import BonusLearner
+from deep_curiosity.bonuses.learner import BonusLearner
 
 
 class CuriosityTransform(Transform):
@@ -83,7 +83,7 @@ class CuriosityTransform(Transform):
             self.source.learn(transition, self.policy)
         following = tensordict.get("next")
         reward = following.get(self.reader.keys.reward)
-        bonus = self.reader.ask(transition, like=reward)
+        bonus = self.reader.compute(transition, like=reward)
         following.set(self.out_keys[0], bonus)
         if self.add_to_reward:
             following.set(self.reader.keys.reward, reward + bonus)
@@ -92,7 +92,7 @@ class CuriosityTransform(Transform):
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         transition = self.reader.read(tensordict, next_tensordict)
         reward = next_tensordict.get(self.reader.keys.reward)
-        next_tensordict.set(self.out_keys[0], self.reader.ask(transition, like=reward))
+        next_tensordict.set(self.out_keys[0], self.reader.compute(transition, like=reward))
         return next_tensordict
 
     def transform_reward_spec(self, reward_spec: Composite) -> Composite:

@@ -1,19 +1,46 @@
-"""Running statistics of a stream of vectors, kept in buffers, and what is standardised by them."""
+"""Running statistics of a stream: counts, moments, and what is standardised by them."""
 
 import math
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Float, Int
 from torch import Tensor, nn
 
-from deep_curiosity.nn.hashing import HASH_OFFSET, scrambled
-
 VARIANCE_FLOOR = 1e-8  # a feature that never moves is whitened by 1e-4 of its unit, not by zero
-STATISTICS_MEMORY = 50_000.0  # rows; a bonus drifts as its model learns, so old ones fade
 NUM_DRAWN = 2_048  # rows: an interquartile range of so many is right to 3 %
 QUARTILES = torch.tensor([0.25, 0.5, 0.75])
 NORMAL_RANGE = 1.349  # interquartile range of a standard Gaussian
 WHITENED_BOUND = 10.0  # a feature that starts to move late would drown all others
+STATISTICS_MEMORY = 50_000.0  # rows; a bonus drifts as its model learns, so old ones fade
+HASH_OFFSET = 0x9E3779B9  # so that zeros count; the golden ratio's digits
+HASH_FACTOR = 0x5851F42D4C957F2D  # odd, of Knuth's generator MMIX
+
+
+class Every(nn.Module):
+    """Counts calls; the first is due, and every `interval`-th after it.
+
+    Args:
+        interval: Calls from one that is due to the next, at least 1.
+    """
+
+    num_calls: Tensor
+
+    def __init__(self, interval: int) -> None:
+        super().__init__()
+        self.interval = interval
+        self.register_buffer("num_calls", torch.zeros((), dtype=torch.long))
+        self._num_calls = 0  # the same as a plain number: to read it waits for no device
+        self.register_load_state_dict_post_hook(_recount)
+
+    @property
+    def should_skip(self) -> bool:
+        """Whether the next call is to do nothing. To ask changes nothing."""
+        return self._num_calls % self.interval != 0
+
+    def count(self) -> None:
+        """Note that a call has ended well, or was skipped."""
+        self._num_calls += 1
+        self.num_calls.fill_(self._num_calls)
 
 
 class RunningMoments(nn.Module):
@@ -28,6 +55,10 @@ class RunningMoments(nn.Module):
     mean: Tensor
     var: Tensor
     count: Tensor
+    center: Tensor
+    """Middle of each feature."""
+    scale: Tensor
+    """Standard deviation of each feature, never zero; one while a single row is known."""
 
     def __init__(self, dim: int, *, memory: float = float("inf")) -> None:
         super().__init__()
@@ -37,10 +68,21 @@ class RunningMoments(nn.Module):
         self.register_buffer("mean", torch.zeros(dim))
         self.register_buffer("var", torch.ones(dim))
         self.register_buffer("count", torch.zeros(()))
+        self.register_buffer("center", torch.zeros(dim), persistent=False)
+        self.register_buffer("scale", torch.ones(dim), persistent=False)
+        self.register_load_state_dict_post_hook(_restore_units)
 
     @torch.no_grad()
     def update(self, value: Float[Tensor, "batch dim"]) -> None:
         """Merge a batch by the parallel formula of Chan, Golub and LeVeque (1979)."""
+        self._merge(value)
+        self._set_units()
+
+    def normalize(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch dim"]:
+        """Centre, scale, and cut at 10 of its scales."""
+        return ((value - self.center) / self.scale).clamp(-WHITENED_BOUND, WHITENED_BOUND)
+
+    def _merge(self, value: Tensor) -> None:
         batch_mean = value.mean(0)
         batch_var = value.var(0, correction=0)
         self.count.add_(value.shape[0]).clamp_(max=max(self.memory, value.shape[0]))
@@ -49,19 +91,10 @@ class RunningMoments(nn.Module):
         self.var.lerp_(batch_var, share).add_(difference.square() * share * (1 - share))
         self.mean.lerp_(batch_mean, share)
 
-    @property
-    def center(self) -> Float[Tensor, " dim"]:
-        """Middle of each feature."""
-        return self.mean
-
-    @property
-    def scale(self) -> Float[Tensor, " dim"]:
-        """Standard deviation of each feature, never zero; one while a single row is known."""
-        return torch.where(self.count < 2, 1.0, (self.var + VARIANCE_FLOOR).sqrt())
-
-    def normalize(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch dim"]:
-        """Centre, scale, and cut at 10 of its scales."""
-        return ((value - self.center) / self.scale).clamp(-WHITENED_BOUND, WHITENED_BOUND)
+    def _set_units(self) -> None:
+        """Work out centre and scale once, for all questions up to the next update."""
+        self.center.copy_(self.mean)
+        self.scale.copy_(torch.where(self.count < 2, 1.0, (self.var + VARIANCE_FLOOR).sqrt()))
 
 
 class RobustMoments(RunningMoments):
@@ -82,7 +115,7 @@ class RobustMoments(RunningMoments):
     keys: Tensor
     num_seen: Tensor
     median: Tensor
-    spread: Tensor
+    robust_std: Tensor
 
     def __init__(self, dim: int) -> None:
         super().__init__(dim)
@@ -90,12 +123,11 @@ class RobustMoments(RunningMoments):
         self.register_buffer("keys", torch.full((NUM_DRAWN,), torch.iinfo(torch.long).max))
         self.register_buffer("num_seen", torch.zeros((), dtype=torch.long))
         self.register_buffer("median", torch.zeros(dim))
-        self.register_buffer("spread", torch.ones(dim))
+        self.register_buffer("robust_std", torch.ones(dim))
 
-    @torch.no_grad()
-    def update(self, value: Float[Tensor, "batch dim"]) -> None:
+    def _merge(self, value: Tensor) -> None:
         """Let a batch take part in the draw, and measure what is drawn."""
-        super().update(value)
+        super()._merge(value)
         number = self.num_seen + torch.arange(len(value), device=value.device)
         self.num_seen.add_(len(value))
         keys = torch.cat([self.keys, scrambled(number + HASH_OFFSET)])
@@ -105,19 +137,14 @@ class RobustMoments(RunningMoments):
         drawn = self.rows[: int(self.num_seen)]  # empty places have the largest keys
         low, median, high = drawn.quantile(QUARTILES.to(drawn), dim=0)
         self.median.copy_(median)
-        self.spread.copy_((high - low) / NORMAL_RANGE)
+        self.robust_std.copy_((high - low) / NORMAL_RANGE)
 
-    @property
-    def center(self) -> Float[Tensor, " dim"]:
-        """Median of each feature."""
-        return self.median
-
-    @property
-    def scale(self) -> Float[Tensor, " dim"]:
-        """Interquartile range of each feature over that of a standard Gaussian, never zero."""
-        rests = self.spread.square() <= VARIANCE_FLOOR
-        var = torch.where(rests, self.var, self.spread.square())
-        return torch.where(self.count < 2, 1.0, (var + VARIANCE_FLOOR).sqrt())
+    def _set_units(self) -> None:
+        """Median, and interquartile range over that of a standard Gaussian, never zero."""
+        self.center.copy_(self.median)
+        rests = self.robust_std.square() <= VARIANCE_FLOOR
+        var = torch.where(rests, self.var, self.robust_std.square())
+        self.scale.copy_(torch.where(self.count < 2, 1.0, (var + VARIANCE_FLOOR).sqrt()))
 
 
 WHITENINGS: dict[str, type[RunningMoments]] = {
@@ -160,3 +187,18 @@ class Standardization(nn.Module):
     def update(self, value: Float[Tensor, " batch"]) -> None:
         """Let the statistics see a batch."""
         self.moments.update(value.unsqueeze(-1))
+
+
+def scrambled(number: Int[Tensor, "*batch"]) -> Int[Tensor, "*batch"]:
+    """Mix the bits of 64-bit whole numbers."""
+    for _ in range(2):  # round numbers have empty low bits: bring the high ones down
+        number = (number ^ (number >> 29)) * HASH_FACTOR
+    return number
+
+
+def _restore_units(moments: RunningMoments, _: object) -> None:
+    moments._set_units()
+
+
+def _recount(every: Every, _: object) -> None:
+    every._num_calls = int(every.num_calls)

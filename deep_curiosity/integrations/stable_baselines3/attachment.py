@@ -11,7 +11,8 @@ from torch import Tensor
 
 from deep_curiosity.integrations.stable_baselines3.spaces import CPU, bounded_space, observed_space
 from deep_curiosity.bonuses.base import Bonus, Policy
-from deep_curiosity.bonuses.registry import BonusLearner, make_bonus
+from deep_curiosity.bonuses.learner import BonusLearner
+from deep_curiosity.bonuses.registry import make_bonus
 from deep_curiosity.transitions import Transition
 
 Actor = Callable[[PyTorchObs], Tensor]
@@ -68,26 +69,26 @@ class BonusAttachment:
             self.device = device
         return self
 
-    def see(self, observation: Any) -> Any:
+    def select_observation(self, observation: Any) -> Any:
         """What the bonus sees of an observation, or of all that are stored."""
         return observation if self.observation_key is None else observation[self.observation_key]
 
-    def learn(self, transition: Transition, seen_by_actor: PyTorchObs | None = None) -> None:
+    def learn(self, transition: Transition, actor_input: PyTorchObs | None = None) -> None:
         """Let the bonus see a batch and learn from it at its own pace.
 
         Args:
             transition: Raw, in the units of the environment.
-            seen_by_actor: The same observations as the agent's networks take them: all keys of a
+            actor_input: The same observations as the agent's networks take them: all keys of a
                 dictionary, normalised where the agent's are.
         """
         policy = None
-        if self.actor is not None and seen_by_actor is not None:
-            policy = _policy_at(transition.observation, self.actor, seen_by_actor)
+        if self.actor is not None and actor_input is not None:
+            policy = _policy_at(transition.observation, self.actor, actor_input)
         self.learner.learn(transition, policy)
 
-    def ask(self, transition: Transition) -> Tensor:
+    def compute(self, transition: Transition) -> Tensor:
         """Bonus of each transition as the networks now stand."""
-        bonus = self.learner.ask(transition)
+        bonus = self.learner.compute(transition)
         self.newest = bonus.mean()
         return bonus
 
@@ -120,7 +121,7 @@ def _find_bonus(
     return bonus
 
 
-def _policy_at(observation: Tensor, actor: Actor, seen_by_actor: PyTorchObs) -> Policy:
+def _policy_at(observation: Tensor, actor: Actor, actor_input: PyTorchObs) -> Policy:
     """The actor as a function of what the bonus sees, known at the rows of one batch only."""
 
     def act(asked: Tensor) -> Tensor:
@@ -129,6 +130,6 @@ def _policy_at(observation: Tensor, actor: Actor, seen_by_actor: PyTorchObs) -> 
                 "`policy` must be asked at `transition.observation` itself, since the agent may "
                 f"see more than the bonus, got another tensor of shape {tuple(asked.shape)}."
             )
-        return actor(seen_by_actor)
+        return actor(actor_input)
 
     return act

@@ -1,0 +1,177 @@
+"""Settings of the agent: one set of defaults, for the class and for the trainer."""
+
+import math
+from dataclasses import dataclass, field
+from typing import Literal, Self
+
+from deep_curiosity.configuration import Group, setting
+from deep_curiosity.schedules import Schedule
+
+HungerSource = Literal["fixed", "random", "bandit", "battery"]
+
+
+@dataclass(frozen=True)
+class ConditionedHunger:
+    """Policy and critics are given the hunger, and learn every hunger from 0 to 1 at once.
+
+    As text it is `conditioned:0.5` for a fixed one, `random`, `bandit`, `battery` or
+    `battery:entry`.
+
+    Args:
+        source: Who chooses it while the agent acts: it is `"fixed"`; `"random"`, drawn for each
+            episode; chosen by a `"bandit"` for what it earns; or read off a `"battery"`.
+        value: The fixed hunger, and the one of the agent before anyone has chosen, in [0, 1].
+        entry: Entry of the observation, or of `info` by its name, that holds the charge of the
+            battery, from 0 to 1.
+
+    Raises:
+        ValueError: If the source is unknown or the value outside [0, 1].
+    """
+
+    source: HungerSource = "fixed"
+    value: float = 1.0
+    entry: int | str = -1
+
+    def __post_init__(self) -> None:
+        """Reject what cannot be."""
+        if not 0 <= self.value <= 1:
+            raise ValueError(f"`hunger` must lie in [0, 1] where conditioned, got {self.value}.")
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """Read what `str` wrote.
+
+        Raises:
+            ValueError: If the text is none of the forms.
+        """
+        source, _, detail = text.partition(":")
+        if source == "battery":
+            number = detail.lstrip("-").isdigit()
+            return cls("battery", entry=int(detail) if number else detail or -1)
+        if source in ("random", "bandit") and not detail:
+            return cls(source)  # type: ignore[arg-type]  # one of the two
+        try:
+            return cls("fixed", float(detail)) if source == "conditioned" else cls(text)  # type: ignore[arg-type]
+        except ValueError:
+            raise ValueError(
+                "`hunger` must be a number, a schedule such as linear:1:10, random, bandit, "
+                f"battery, battery:ENTRY or conditioned:VALUE, got {text!r}."
+            ) from None
+
+    def __str__(self) -> str:
+        """As `parse` reads it."""
+        if self.source == "fixed":
+            return f"conditioned:{self.value!r}"
+        return f"battery:{self.entry}" if self.source == "battery" else self.source
+
+
+@dataclass(frozen=True)
+class RewardValueConfig(Group):
+    """The value of the reward, Q."""
+
+    discount: float = setting(0.99, at_least=0, below=1)
+    """Discount of the reward per step."""
+    reward_steps: int = 1
+    """Steps of reward that are summed before the value is trusted. With `soft_backup` only the
+    information cost after the last of them is charged."""
+    soft_backup: bool | None = None
+    """Charge the value with the information cost of later actions, as soft actor-critic does; by
+    default only with the uniform prior: the paper keeps the value purely about reward."""
+
+
+@dataclass(frozen=True)
+class CuriosityValueConfig(Group):
+    """The value of the bonus, Q_D, and its weight in the policy."""
+
+    discount: float = setting(0.97, name="curiosity_discount", at_least=0, below=1)
+    """Discount of the bonus per step; with 0 the policy maximises the bonus itself, as the paper
+    writes it, differentiated through the model, and no critic learns it."""
+    steps: int = setting(1, name="curiosity_steps")
+    """Steps of bonus that are summed before the value is trusted."""
+    episodic: bool = setting(True, name="curiosity_episodic")
+    """End the value where the episode terminates; otherwise it looks past the end, as in Burda et
+    al. (2018)."""
+    coefficient: float | Literal["adaptive"] = setting(
+        "adaptive", name="curiosity_coefficient", at_least=0
+    )
+    """Weight of the value in the policy's objective: a number; or adaptive, the ratio of the
+    standard deviations of Q_D and Q over replay, at most 1, so that curiosity fades as reward
+    comes to tell states apart."""
+    ends: int | None = setting(None, name="curiosity_ends")
+    """Environment step from which only reward counts; by default none."""
+
+
+@dataclass(frozen=True)
+class AgentConfig(Group):
+    """The agent."""
+
+    hidden_dim: int = 256
+    """Width of the two hidden layers of policy, critics and models."""
+    prior: Literal["uniform", "learned"] = "uniform"
+    """Action prior: flat as in soft actor-critic, or the learned action marginal."""
+    hunger: float | Schedule | ConditionedHunger = setting(1.0, at_least=0)
+    """Weight of the reward's value, alpha: a number; a schedule such as linear:1:10; or random,
+    bandit, battery or conditioned:0.5, where policy and critics are given the hunger and learn
+    every hunger from 0 to 1 at once."""
+    temperature: float | Schedule = setting(0.02, above=0)
+    """Price of a nat, lambda: a number is where it starts, from which it is tuned to hold the
+    target information rate; constant:0.02 stays; linear:0.02:0.002, exponential:... or
+    plateaus:... go with time."""
+    target_information_rate: float | None = setting(None, above=-math.inf)
+    """Nats per action by which the policy may differ from the prior; by default 1.69 (uniform) or
+    1 (learned) for each action dimension."""
+    learning_rate: float = setting(1e-3, above=0)
+    """Learning rate of policy, critics, prior and temperature."""
+    polyak: float = setting(0.02, above=0, at_most=1)
+    """Share of the critics that moves into the target critics at each update."""
+    mixture_components: int = setting(1, name="policy_mixture_components")
+    """Gaussians that make up the policy; an optimum with two peaks needs two."""
+    actor_q: Literal["alternate", "min"] = "alternate"
+    """What the policy maximises at each transition: one critic of each pair, in round-robin order,
+    or the smaller of both. Critics learn from the smaller either way."""
+    actor_batch_fraction: float = setting(0.5, above=0, at_most=1)
+    """Share of a batch from which policy, prior and temperature learn, one over a whole number;
+    critics and models learn from all of it."""
+    reward: RewardValueConfig = field(default_factory=RewardValueConfig)
+    curiosity: CuriosityValueConfig = field(default_factory=CuriosityValueConfig)
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be, or would do nothing."""
+        super().__post_init__()
+        if not (1 / self.actor_batch_fraction).is_integer():
+            raise ValueError(
+                "`actor_batch_fraction` must be one over a whole number, "
+                f"got {self.actor_batch_fraction}."
+            )
+        if self.target_information_rate is not None and isinstance(self.temperature, Schedule):
+            raise ValueError(
+                "`target_information_rate` must be left out where the temperature is not tuned, "
+                f"got {self.target_information_rate} with `temperature` {self.temperature}."
+            )
+        if self.is_conditioned and self.curiosity.coefficient != "adaptive":
+            raise ValueError(
+                "`curiosity_coefficient` must be 'adaptive' where the agent is conditioned on its "
+                f"hunger, got {self.curiosity.coefficient}."
+            )
+        if self.curiosity.discount == 0 and not (
+            self.curiosity.steps == 1 and self.curiosity.episodic
+        ):
+            raise ValueError(
+                "`curiosity_discount` must be above 0 where `curiosity_steps` or "
+                "`curiosity_episodic` is set, got 0."
+            )
+
+    @property
+    def is_conditioned(self) -> bool:
+        """Whether policy and critics are given the hunger."""
+        return isinstance(self.hunger, ConditionedHunger)
+
+    @property
+    def tunes_temperature(self) -> bool:
+        """Whether the temperature is adjusted to hold the target information rate."""
+        return not isinstance(self.temperature, Schedule)
+
+    @property
+    def actor_stride(self) -> int:
+        """Rows of a batch from one that the policy learns from to the next."""
+        return round(1 / self.actor_batch_fraction)

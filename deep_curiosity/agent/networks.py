@@ -1,0 +1,282 @@
+"""What the agent consists of: a policy, critics stacked into one call, and a prior over actions.
+
+An action is `tanh(pre_action)`. The change of variables multiplies every density by the same
+Jacobian, so it cancels from differences such as `log pi - log p` when both densities are taken of
+the pre-action: nothing is rounded near the edge of the action box.
+"""
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import ClassVar, TypeVar
+
+import numpy as np
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+from torch.nn.functional import softplus
+
+from deep_curiosity.gaussians import DiagonalMixture
+from deep_curiosity.nn.networks import StackedMLP, assign_rows, log_softmax_of_rest, restore_order
+from deep_curiosity.transitions import check_counts
+
+Value = TypeVar("Value", Tensor, np.ndarray)
+LOG_STD_RANGE = (-5.0, 2.0)  # below -5 the tanh density is sharper than float32 resolves
+LOG_STD_FLOOR = math.log(0.05)  # of a prior's component, pre-squash: no habit is narrower
+UNIFORM_EDGE = 1 - 1e-6  # atanh is infinite at the edge of the action box
+NUM_PRIOR_SAMPLES = 256  # for the reported divergence of the prior from uniform
+
+
+class GaussianPolicy(nn.Module):
+    """Observation to a mixture of diagonal Gaussians over pre-actions, often of one.
+
+    Args:
+        observation_dim: Length of an observation.
+        action_dim: Length of an action.
+        mixture_components: Number of Gaussians. One holds a single way of doing things; with more,
+            the policy can keep several apart, such as full left and full right.
+        hidden_dims: Width of every hidden layer.
+
+    Raises:
+        ValueError: If `mixture_components` is below 1.
+    """
+
+    def __init__(
+        self,
+        observation_dim: int,
+        action_dim: int,
+        *,
+        mixture_components: int = 1,
+        hidden_dims: Sequence[int] = (256, 256),
+    ) -> None:
+        super().__init__()
+        check_counts(mixture_components=mixture_components)
+        self.mixture_components = mixture_components
+        self.action_dim = action_dim
+        num_outputs = mixture_components * (2 * action_dim + 1) - 1
+        self.network = StackedMLP(1, observation_dim, hidden_dims, num_outputs)
+
+    def forward(self, observation: Float[Tensor, "batch observation_dim"]) -> DiagonalMixture:
+        """Distribution over pre-actions at each observation."""
+        # not by way of `at`: a product would copy activations that have lost their leading axis
+        return self._mixture(self.network(observation)[0])
+
+    def hidden(
+        self, observation: Float[Tensor, "batch observation_dim"]
+    ) -> Float[Tensor, "batch hidden_dim"]:
+        """Activations of the last hidden layer."""
+        return self.network.hidden(observation)[0]
+
+    def at(self, hidden: Float[Tensor, "batch hidden_dim"]) -> DiagonalMixture:
+        """Distribution over pre-actions where the last hidden layer has these activations."""
+        return self._mixture(self.network.layers[-1](hidden.unsqueeze(0))[0])
+
+    def _mixture(self, features: Float[Tensor, "batch features"]) -> DiagonalMixture:
+        split = 2 * self.mixture_components * self.action_dim
+        shape, logits = features.tensor_split([split], dim=-1)
+        loc, raw_log_std = shape.unflatten(-1, (self.mixture_components, -1)).chunk(2, dim=-1)
+        log_std = in_log_std_range(torch.tanh(raw_log_std))
+        return DiagonalMixture(loc, 2 * log_std, log_softmax_of_rest(logits))
+
+
+def in_log_std_range(squashed: Value) -> Value:
+    """Stretch [-1, 1] to the range of the log standard deviation."""
+    low, high = LOG_STD_RANGE
+    return low + 0.5 * (high - low) * (squashed + 1)
+
+
+class Critics(nn.Module):
+    """Pairs of state-action values, all in one stacked network.
+
+    Args:
+        observation_dim: Length of an observation.
+        action_dim: Length of an action.
+        pairs: Number of values, each learned twice.
+        hidden_dims: Width of every hidden layer.
+    """
+
+    def __init__(
+        self,
+        observation_dim: int,
+        action_dim: int,
+        *,
+        pairs: int = 2,
+        hidden_dims: Sequence[int] = (256, 256),
+    ) -> None:
+        super().__init__()
+        self.pairs = pairs
+        self.network = StackedMLP(2 * pairs, observation_dim + action_dim, hidden_dims, 1)
+
+    def forward(
+        self,
+        observation: Float[Tensor, "batch observation_dim"],
+        action: Float[Tensor, "batch action_dim"],
+    ) -> Float[Tensor, "pairs 2 batch"]:
+        """Both estimates of every value."""
+        value = self.network(torch.cat([observation, action], dim=-1)).squeeze(-1)
+        return value.unflatten(0, (self.pairs, 2))
+
+    def lower(
+        self,
+        observation: Float[Tensor, "batch observation_dim"],
+        action: Float[Tensor, "batch action_dim"],
+    ) -> Float[Tensor, "pairs batch"]:
+        """The smaller estimate of every value, against overestimation (Fujimoto et al., 2018)."""
+        return self(observation, action).amin(1)
+
+    def alternate(
+        self,
+        observation: Float[Tensor, "batch observation_dim"],
+        action: Float[Tensor, "batch action_dim"],
+    ) -> Float[Tensor, "pairs batch"]:
+        """One estimate of every value: row `r` by critic `r % 2`, for half of what both cost."""
+        pair = torch.cat([observation, action], dim=-1)
+        row, _ = assign_rows(len(pair), 2, pair.device)
+        value = self.network(pair[row].repeat(self.pairs, 1, 1)).squeeze(-1)  # critics rows
+        return restore_order(value.unflatten(0, (self.pairs, 2)).movedim(0, -1), len(pair)).mT
+
+
+class Prior(nn.Module, ABC):
+    """What the agent usually does, whatever the state: a density over pre-actions.
+
+    Args:
+        action_dim: Length of an action.
+    """
+
+    default_rate: ClassVar[float]
+    """Nats for each action dimension by which a policy may differ from the prior, by default."""
+    soft_backup: ClassVar[bool]
+    """Whether the value of the reward is charged with later information costs, by default."""
+    log_excess: float = 0.0
+    """Log of what the density integrates to: a cost plus this is in nats from a normalised one."""
+
+    def __init__(self, action_dim: int) -> None:
+        super().__init__()
+        self.log_volume = action_dim * math.log(2)
+
+    @abstractmethod
+    def log_prob(self, pre_action: Float[Tensor, "*batch action_dim"]) -> Float[Tensor, "*batch"]:
+        """Log density of each pre-action, in nats."""
+
+    @property
+    def learns(self) -> bool:
+        """Whether the prior follows what the policy does."""
+        return any(True for _ in self.parameters())
+
+    def metrics(self) -> dict[str, Tensor]:
+        """What to log."""
+        return {}
+
+
+class UniformPrior(Prior):
+    """All actions alike, with density one on the action box: soft actor-critic's implicit prior.
+
+    The normalised uniform density is lower by `log_volume`, a constant that moves no gradient.
+
+    Args:
+        action_dim: Length of an action.
+    """
+
+    default_rate = 1 + math.log(2)  # nats from uniform: the usual target entropy of -action_dim
+    soft_backup = True
+
+    def __init__(self, action_dim: int) -> None:
+        super().__init__(action_dim)
+        self.log_excess = self.log_volume
+
+    def log_prob(self, pre_action: Float[Tensor, "*batch action_dim"]) -> Float[Tensor, "*batch"]:
+        """Log density of each pre-action, in nats."""
+        return log_abs_det_tanh(pre_action)
+
+
+class LearnedPrior(Prior):
+    r"""The action marginal `p(a)`, fitted to the policy's own actions, (14) and (23).
+
+    .. math:: p(u) = (1 - \epsilon) \sum_k w_k N(u; \mu_k, \sigma_k) + \epsilon \, p_{uniform}(u)
+
+    With a learned prior a policy that ignores the state costs nothing, so prior and policy could
+    shrink together to a point. Two floors forbid it: a uniform share and a least component width.
+
+    Args:
+        action_dim: Length of an action.
+        components: Number of Gaussians.
+        uniform_share: Weight of the uniform density on the action box.
+
+    Raises:
+        ValueError: If `components` is below 1 or `uniform_share` outside (0, 1).
+    """
+
+    default_rate = 1.0
+    soft_backup = False
+
+    def __init__(
+        self, action_dim: int, *, components: int = 8, uniform_share: float = 0.1
+    ) -> None:
+        super().__init__(action_dim)
+        check_counts(components=components)
+        if not 0 < uniform_share < 1:
+            raise ValueError(f"`uniform_share` must lie inside (0, 1), got {uniform_share}.")
+        self.uniform_share = uniform_share
+        self.loc = nn.Parameter(torch.randn(components, action_dim))
+        self.raw_log_std = nn.Parameter(torch.zeros(components, action_dim))
+        self.logits = nn.Parameter(torch.zeros(components))
+
+    @property
+    def habit(self) -> DiagonalMixture:
+        """The learned part of the density."""
+        floor = torch.full_like(self.raw_log_std, LOG_STD_FLOOR)
+        log_std = torch.logaddexp(self.raw_log_std, floor)
+        return DiagonalMixture(self.loc, 2 * log_std, torch.log_softmax(self.logits, dim=0))
+
+    def log_prob(self, pre_action: Float[Tensor, "*batch action_dim"]) -> Float[Tensor, "*batch"]:
+        """Log density of each pre-action, in nats."""
+        habit = self.habit.log_prob(pre_action)
+        uniform = log_abs_det_tanh(pre_action) - self.log_volume
+        return torch.logaddexp(
+            habit + math.log1p(-self.uniform_share), uniform + math.log(self.uniform_share)
+        )
+
+    def kl_to_uniform(self, noise: Float[Tensor, "samples action_dim"]) -> Float[Tensor, ""]:
+        """Divergence of the marginal from the uniform density, in nats: how habitual the agent is.
+
+        Args:
+            noise: Standard normal draws, used once for every component and for the uniform share.
+        """
+        habit = self.habit
+        habitual = habit.component_samples(noise.unsqueeze(1)).transpose(0, 1)
+        uniform = torch.atanh(torch.erf(noise / math.sqrt(2)) * UNIFORM_EDGE)
+        pre_action = torch.cat([habitual, uniform.unsqueeze(0)])  # components+1 samples
+        log_ratio = self.log_prob(pre_action) - log_abs_det_tanh(pre_action) + self.log_volume
+        habit_share = (1 - self.uniform_share) * torch.softmax(self.logits, dim=0)
+        return torch.cat([habit_share, habit_share.new_tensor([self.uniform_share])]) @ (
+            log_ratio.mean(-1)
+        )
+
+    @torch.no_grad()
+    def metrics(self) -> dict[str, Tensor]:
+        """How far the prior is from uniform, in nats, always over the same draws."""
+        generator = torch.Generator().manual_seed(0)  # leaves the global stream where it is
+        noise = torch.randn(NUM_PRIOR_SAMPLES, self.loc.shape[1], generator=generator)
+        return {"prior_kl_to_uniform": self.kl_to_uniform(noise.to(self.loc))}
+
+
+PRIORS: dict[str, type[Prior]] = {"uniform": UniformPrior, "learned": LearnedPrior}
+"""Action priors by name."""
+
+
+def log_abs_det_tanh(pre_action: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch"]:
+    """Log volume change of the squash, `sum log(1 - tanh(u)^2)`, exact at any `u`.
+
+    It is also the log density, pre-squash, of the flat measure with density one on the action box;
+    the uniform distribution on the box is that divided by its volume, `2 ** dim`.
+
+    Uses `1 - tanh(u)^2 = 4 / (exp(u) + exp(-u))^2`, which neither overflows nor needs an epsilon.
+    """
+    return (2 * (math.log(2) - pre_action - softplus(-2 * pre_action))).sum(-1)
+
+
+def squashed_log_prob(
+    pre_log_prob: Float[Tensor, "*batch"], pre_action: Float[Tensor, "*batch dim"]
+) -> Float[Tensor, "*batch"]:
+    """Log density of `tanh(pre_action)` on the action box, from that of the pre-action."""
+    return pre_log_prob - log_abs_det_tanh(pre_action)

@@ -1,0 +1,321 @@
+"""Settings of each bonus, with the defaults that all of them were studied with."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields, replace
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
+
+from deep_curiosity.bonuses.base import Bonus
+from deep_curiosity.bonuses.baselines import (
+    ConstantBonus,
+    DisagreementBonus,
+    HashCountBonus,
+    ICMBonus,
+    InformationGainBonus,
+    NearestNeighboursBonus,
+    RNDBonus,
+)
+from deep_curiosity.bonuses.curiosity import CuriosityBonus, check_entries
+from deep_curiosity.bonuses.dynamics import DynamicsEnsemble
+from deep_curiosity.bonuses.marginal import NextStateMarginal
+from deep_curiosity.configuration import Group, setting
+from deep_curiosity.nn.networks import Adam
+
+if TYPE_CHECKING:
+    from deep_curiosity.bonuses.dynamics import Features
+    from deep_curiosity.replay import ReplayBuffer
+    from deep_curiosity.transitions import Transition
+
+Sizes = Sequence[int]
+
+
+@dataclass(frozen=True)
+class BonusConfig(Group, ABC):
+    """What all bonuses have in common: a name, and a class to make."""
+
+    kind: ClassVar[str]
+    """Name of the bonus, as on the command line."""
+    scores_outcomes: ClassVar[bool] = False
+    """Whether the bonus has no gradient in the action."""
+
+    @abstractmethod
+    def make(self, observation_dim: int, action_dim: int, hidden_dims: Sizes) -> Bonus | None:
+        """Build the bonus, its networks with these hidden layers; `None` for no bonus at all."""
+
+    def sample_visited(self, replay: ReplayBuffer, batch_size: int) -> Transition | None:
+        """Transitions that say where the agent has been of late; `None` where nobody asks."""
+        return None
+
+    def make_optimizer(self, bonus: Bonus | None) -> Adam | None:
+        """Optimiser of the networks of the bonus, where it has any."""
+        return None
+
+    def about(self, entries: tuple[int, ...]) -> BonusConfig:
+        """The same bonus about some entries of the observation, if it can be and is not yet."""
+        return self
+
+
+@dataclass(frozen=True)
+class NoBonus(BonusConfig):
+    """Plain soft actor-critic."""
+
+    kind = "none"
+
+    def make(self, observation_dim: int, action_dim: int, hidden_dims: Sizes) -> None:
+        """Nothing."""
+
+
+@dataclass(frozen=True)
+class ConstantConfig(BonusConfig):
+    """The same bonus at every step: a control without information."""
+
+    kind = "constant"
+
+    weight: float = setting(0.1, name="bonus_weight", at_least=0)
+    """The bonus itself."""
+
+    def make(self, observation_dim: int, action_dim: int, hidden_dims: Sizes) -> Bonus:
+        """The control."""
+        return ConstantBonus(self.weight)
+
+
+@dataclass(frozen=True)
+class WeightedConfig(BonusConfig):
+    """What every standardised bonus has."""
+
+    weight: float = setting(0.1, name="bonus_weight", at_least=0)
+    """Factor of the standardised bonus; the first one where it is tuned."""
+    model_learning_rate: float = setting(1e-3, above=0)
+    """Learning rate of the networks of the bonus."""
+    refresh_interval: int = 20
+    """Updates from one renewal of the statistics, and of the marginal, to the next."""
+
+    def make_optimizer(self, bonus: Bonus | None) -> Adam | None:
+        """Adam over what learns, if anything does."""
+        parameters = [] if bonus is None else [p for p in bonus.parameters() if p.requires_grad]
+        return Adam(parameters, self.model_learning_rate) if parameters else None
+
+
+@dataclass(frozen=True)
+class BaselineConfig(WeightedConfig):
+    """A baseline, which is made from its own settings."""
+
+    bonus_class: ClassVar[type[Bonus]]
+    has_networks: ClassVar[bool] = True
+
+    def make(self, observation_dim: int, action_dim: int, hidden_dims: Sizes) -> Bonus:
+        """The bonus of this name."""
+        options = {
+            each.name: getattr(self, each.name)
+            for each in fields(self)
+            if each.name != "model_learning_rate"
+        }
+        if self.has_networks:
+            options["hidden_dims"] = hidden_dims
+        return self.bonus_class(observation_dim, action_dim, **options)
+
+
+@dataclass(frozen=True)
+class DisagreementConfig(BaselineConfig):
+    """Models that predict different things."""
+
+    kind, bonus_class = "disagreement", DisagreementBonus
+
+    num_members: int = setting(5, at_least=2)
+    """Models in the ensemble."""
+
+
+@dataclass(frozen=True)
+class InformationGainConfig(BaselineConfig):
+    """What an outcome would tell about the models, its weight tuned."""
+
+    kind, bonus_class = "information-gain", InformationGainBonus
+
+    num_members: int = setting(5, at_least=2)
+    """Models in the ensemble."""
+    noise_std: float = setting(1e-3, above=0)
+    """Standard deviation of the outcome's noise, in whitened units."""
+
+
+@dataclass(frozen=True)
+class RNDConfig(BaselineConfig):
+    """Next states at which a random network is not yet known."""
+
+    kind, bonus_class, scores_outcomes = "rnd", RNDBonus, True
+
+    random_features: int = 512
+    """Outputs of the random network."""
+
+
+@dataclass(frozen=True)
+class ICMConfig(BaselineConfig):
+    """Next states that were predicted badly, in learned features."""
+
+    kind, bonus_class, scores_outcomes = "icm", ICMBonus, True
+
+    feature_dim: int = 32
+    """Length of the learned features."""
+
+
+@dataclass(frozen=True)
+class NearestNeighboursConfig(BaselineConfig):
+    """Next states far from those remembered."""
+
+    kind, bonus_class, scores_outcomes = "nearest-neighbours", NearestNeighboursBonus, True
+    has_networks = False
+
+    neighbours: int = 12
+    """Neighbours over which the distance is averaged."""
+    memory: int = 2048
+    """States remembered."""
+
+
+@dataclass(frozen=True)
+class HashCountConfig(BaselineConfig):
+    """Next states whose code is rare."""
+
+    kind, bonus_class, scores_outcomes = "hash-count", HashCountBonus, True
+    has_networks = False
+
+    bits: int = setting(32, at_most=62)
+    """Length of a code."""
+
+
+@dataclass(frozen=True)
+class DynamicsConfig(Group):
+    """The ensemble that predicts the next state."""
+
+    num_members: int = setting(5, at_least=2)
+    """Models in the ensemble."""
+    members: Literal["round_robin", "all"] = "round_robin"
+    """Let each transition train and ask one model, in round-robin order, or all of them."""
+    mixture_components: int = setting(1, name="model_mixture_components")
+    """Gaussians that make up a prediction; a next state that is one of two needs two."""
+    noise_floor: float = setting(0.05, above=0)
+    """Resolution at which the agent sees, in standard deviations of the observation."""
+    whitening: Literal["moments", "robust"] = "moments"
+    """Unit of the observation's entries: standard deviation, or interquartile range, which heavy
+    tails do not move."""
+
+
+@dataclass(frozen=True)
+class MarginalConfig(Group):
+    """The density of usual next states."""
+
+    components: int = setting(256, at_least=2)
+    """Next states that make up the marginal."""
+    bandwidth: float | Literal["silverman", "perplexity"] = setting("silverman", above=0)
+    """Width of the marginal's kernels, in standard deviations of the components."""
+    horizon: int | None = setting(None, name="marginal_horizon")
+    """Newest transitions from which the marginal is formed; all of replay by default."""
+    forgetting: Literal["window", "exponential"] = setting("window", name="marginal_forgetting")
+    """How older transitions are forgotten where there is a horizon: at once, or by half with every
+    such number of newer ones."""
+
+    def __post_init__(self) -> None:
+        """Refuse a way of forgetting where nothing is forgotten."""
+        super().__post_init__()
+        if self.horizon is None and self.forgetting != "window":
+            raise ValueError(
+                "`marginal_forgetting` must be 'window' where no `marginal_horizon` is set, "
+                f"got {self.forgetting!r}."
+            )
+
+
+@dataclass(frozen=True)
+class CuriosityConfig(WeightedConfig):
+    """Leading away from where one usually ends up: the paper's curiosity."""
+
+    kind = "curiosity"
+
+    tune_weight: float | Literal["past"] | None = setting(None, name="tune_bonus_weight")
+    """Let the weight rise while the policy earns less than: past, what it earned of late; or so
+    many nats."""
+    parts: dict[str, float] = setting({}, name="bonus_parts")
+    """Weights of what curiosity is made of, instead of D as a whole: predictive_power,
+    information_gain, negative_entropy, cross_entropy; such as: information_gain 1"""
+    features: tuple[int, ...] = ()
+    """Entries of the observation that curiosity is about, from the end where negative; all by
+    default, or with a frame stack the two newest observations."""
+    dynamics: DynamicsConfig = field(default_factory=DynamicsConfig)
+    marginal: MarginalConfig = field(default_factory=MarginalConfig)
+
+    def make(
+        self,
+        observation_dim: int,
+        action_dim: int,
+        hidden_dims: Sizes,
+        encoder: Features | None = None,
+    ) -> CuriosityBonus:
+        """The bonus with its dynamics and marginal.
+
+        Args:
+            observation_dim: Length of an observation.
+            action_dim: Length of an action.
+            hidden_dims: Width of every hidden layer of the models.
+            encoder: Function from observations to what of them is predicted.
+        """
+        dynamics = DynamicsEnsemble(
+            observation_dim,
+            action_dim,
+            hidden_dims=hidden_dims,
+            features=encoder,
+            **vars(self.dynamics),
+        )
+        entries = check_entries(self.features, dynamics.predicted_dim) if self.features else None
+        marginal = NextStateMarginal(
+            dynamics.predicted_dim if entries is None else len(entries),
+            components=self.marginal.components,
+            bandwidth=self.marginal.bandwidth,
+        )
+        return CuriosityBonus(
+            dynamics,
+            marginal,
+            weight=self.weight,
+            refresh_interval=self.refresh_interval,
+            entries=entries,
+            parts=self.parts or None,
+            tune_weight=self.tune_weight,
+        )
+
+    def about(self, entries: tuple[int, ...]) -> CuriosityConfig:
+        """Curiosity about some entries of the observation, unless others were chosen."""
+        return self if self.features else replace(self, features=entries)
+
+    def sample_visited(self, replay: ReplayBuffer, batch_size: int) -> Transition | None:
+        """Transitions within the marginal's horizon, where it has one."""
+        if self.marginal.horizon is None:
+            return None
+        if self.marginal.forgetting == "window":
+            return replay.sample_newest(batch_size, window=self.marginal.horizon)
+        return replay.sample_fading(batch_size, half_life=self.marginal.horizon)
+
+
+BONUS_CONFIGS: dict[str, type[BonusConfig]] = {
+    config.kind: config
+    for config in (
+        CuriosityConfig,
+        DisagreementConfig,
+        InformationGainConfig,
+        RNDConfig,
+        ICMConfig,
+        NearestNeighboursConfig,
+        HashCountConfig,
+        ConstantConfig,
+        NoBonus,
+    )
+}
+"""Settings of each bonus by its name; `none` is plain soft actor-critic."""
+
+
+def bonus_config(kind: str) -> Any:
+    """Default settings of a bonus.
+
+    Raises:
+        ValueError: If the name is unknown.
+    """
+    if kind not in BONUS_CONFIGS:
+        raise ValueError(f"`bonus` must be one of {', '.join(BONUS_CONFIGS)}, got {kind!r}.")
+    return BONUS_CONFIGS[kind]()

@@ -1,0 +1,65 @@
+"""The small learner that a bonus needs beside an agent."""
+
+import math
+
+import torch
+from jaxtyping import Float
+from torch import Tensor, nn
+
+from deep_curiosity.bonuses.base import Bonus, Policy
+from deep_curiosity.nn.networks import Adam
+from deep_curiosity.nn.statistics import Every
+from deep_curiosity.transitions import Transition, check_counts
+
+
+class BonusLearner(nn.Module):
+    """A bonus with its optimiser and its pace: what an adapter keeps beside an agent.
+
+    Args:
+        bonus: What learns and is computed.
+        learning_rate: Learning rate of Adam, for the networks of the bonus.
+        update_interval: Calls of `learn` from one gradient step to the next.
+
+    Raises:
+        ValueError: If the learning rate is not positive or the interval below 1.
+    """
+
+    optimizer: Adam | None
+
+    def __init__(
+        self, bonus: Bonus, *, learning_rate: float = 1e-3, update_interval: int = 1
+    ) -> None:
+        super().__init__()
+        if not 0 < learning_rate < math.inf:
+            raise ValueError(f"`learning_rate` must be positive and finite, got {learning_rate}.")
+        self.bonus = bonus
+        check_counts(update_interval=update_interval)
+        self.every = Every(update_interval)
+        parameters = [part for part in bonus.parameters() if part.requires_grad]
+        self.optimizer = Adam(parameters, learning_rate) if parameters else None
+
+    def learn(self, transition: Transition, policy: Policy | None = None) -> None:
+        """Show the bonus a batch, and at every `update_interval`-th call take a gradient step.
+
+        Args:
+            transition: A batch from replay, or the newest rollout.
+            policy: Draws fresh actions at the batch's observations.
+        """
+        self.bonus.observe(transition, policy)
+        if not self.every.should_skip:
+            self.step(transition)
+        self.every.count()
+
+    def step(self, transition: Transition) -> Float[Tensor, ""]:
+        """Take a gradient step on the networks of the bonus; return the loss before it."""
+        with torch.enable_grad():
+            loss = self.bonus.loss(transition)
+            if self.optimizer is not None:
+                self.optimizer.step(loss)
+        return loss.detach()
+
+    @torch.no_grad()
+    def compute(self, transition: Transition) -> Float[Tensor, " batch"]:
+        """Bonus of each transition as the networks now stand; the reward is not in it."""
+        observation, action, _, next_observation, *_ = transition
+        return self.bonus(observation, action, next_observation)

@@ -1,0 +1,28 @@
+"""Where and how fast a run computes: each piece of cleverness has its switch here."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from deep_curiosity.configuration import Group
+
+
+@dataclass(frozen=True)
+class SpeedConfig(Group):
+    """Device, threads and compiler."""
+
+    device: str = "cpu"
+    """Where replay, updates and bonus live: cpu, or cuda."""
+    threads: int = 1
+    """CPU threads of torch; two are often slower than one for networks of this size."""
+    compile: Literal["auto", "on", "off"] = "auto"
+    """Compile the updates, which takes half a minute at the start; auto does so for long runs."""
+    matmul_precision: Literal["auto", "highest", "high", "medium"] = "auto"
+    """Torch's switch for float32 matrix products; auto takes the fastest that is float32."""
+    direct_matmul: bool = True
+    """Let products of a compiled update call torch's CPU kernel directly."""
+    deduplicate: bool = True
+    """Compute once what a compiled update would compute twice."""
+    keep_memory: bool = True
+    """Let the process keep the memory that it frees while it trains, in huge pages where it can."""
+    numpy_policy: bool = True
+    """Act by NumPy where one environment is stepped on the CPU."""

@@ -1,0 +1,47 @@
+"""The policy in NumPy, for one observation at a time.
+
+Between two updates torch's small products find cold caches: NumPy answers in a quarter of the time,
+which is 5 % of a step of a plain agent with two layers of 256.
+"""
+
+import numpy as np
+from jaxtyping import Float32
+
+from deep_curiosity.agent.networks import GaussianPolicy, in_log_std_range
+
+
+class NumpyPolicy:
+    """A policy of one Gaussian on NumPy views of its weights, which follow updates made in place.
+
+    Args:
+        policy: On the CPU, of one mixture component.
+
+    Raises:
+        ValueError: If the policy has several components.
+    """
+
+    def __init__(self, policy: GaussianPolicy) -> None:
+        if policy.mixture_components != 1:
+            raise ValueError(
+                f"`policy` must have one mixture component, got {policy.mixture_components}."
+            )
+        self._layers = [
+            (weight.detach()[0].numpy(), bias.detach()[0, 0].numpy())
+            for weight, bias in (layer.parameters() for layer in policy.network.layers)
+        ]
+        self._outputs = [np.empty_like(bias) for _, bias in self._layers]
+
+    def act(
+        self, observation: Float32[np.ndarray, " observation_dim"], noise: np.ndarray
+    ) -> Float32[np.ndarray, " action_dim"]:
+        """Action in [-1, 1] for standard normal `noise`, one number for each action dimension."""
+        value = observation
+        for (weight, bias), output in zip(self._layers, self._outputs, strict=True):
+            if value is not observation:
+                np.maximum(value, 0, out=value)
+            value = np.dot(value, weight, out=output)
+            value += bias
+        action_dim = len(noise)
+        log_std = in_log_std_range(np.tanh(value[action_dim:]))
+        action: np.ndarray = np.tanh(value[:action_dim] + np.exp(log_std) * noise)
+        return action

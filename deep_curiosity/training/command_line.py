@@ -1,0 +1,170 @@
+"""The command line of a run: every setting by its flat name, the common ones in `--help`."""
+
+import ast
+import inspect
+import sys
+import textwrap
+from collections.abc import Sequence
+from dataclasses import field, make_dataclass
+from functools import cache
+from pathlib import Path
+from typing import Annotated, Any, Literal, NamedTuple, get_args
+
+import tyro
+
+from deep_curiosity.bonuses.config import BONUS_CONFIGS
+from deep_curiosity.configuration import Setting, flat
+from deep_curiosity.training.config import PRESETS, Config
+from deep_curiosity.training.log import read_config
+
+COMMON = (
+    "env_id",
+    "env_kwargs",
+    "frame_stack",
+    "num_envs",
+    "total_steps",
+    "seed",
+    "out",
+    "learning_starts",
+    "update_to_data",
+    "exploration",
+    "evaluation_interval",
+    "checkpoint_interval",
+    "bonus_weight",
+    "features",
+    "whitening",
+    "hidden_dim",
+    "prior",
+    "hunger",
+    "temperature",
+    "discount",
+    "curiosity_discount",
+    "learning_rate",
+    "device",
+    "threads",
+    "compile",
+)
+"""Settings that a user turns; `--help-all` shows the others too."""
+BONUS_HELP = (
+    "Curiosity; a baseline to compare with, weighed and standardised alike; constant, a control "
+    "without information; or none, plain soft actor-critic. Each has settings of its own."
+)
+PRESET_HELP = (
+    "How networks sample a batch: the fast default; exact, every network learns from all of every "
+    "batch; or paper, which besides renews the marginal at every update."
+)
+RESUME_HELP = "Folder of a run to continue, in place; only total_steps may be changed."
+
+
+class Command(NamedTuple):
+    """What a command line asks for."""
+
+    config: Config
+    resume: bool
+
+
+def parse(arguments: Sequence[str] | None = None, *, description: str) -> Command:
+    """Read a command line; with `--resume` the run's own settings are the defaults.
+
+    Args:
+        arguments: Those of the process when `None`.
+        description: Of the command, for its help.
+
+    Raises:
+        FileNotFoundError: If there is no run to continue.
+        TypeError: If a value has the wrong type.
+        ValueError: If a value is out of range, or a setting would do nothing.
+    """
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    show_all = not {"-h", "--help"} & set(given)  # what is hidden could not be set either
+    given = ["--help" if argument == "--help-all" else argument for argument in given]
+    resume = _peek(given, "--resume")
+    base = Config() if resume is None else read_config(Path(resume))
+    base = base.override(
+        _known(_peek(given, "--preset"), PRESETS) or "fast",
+        bonus=_known(_peek(given, "--bonus"), BONUS_CONFIGS) or base.bonus,
+    )
+    read = vars(tyro.cli(_command_class(base, show_all), args=given, description=description))
+    values = {name: _from_text(flat(base)[name], read[name]) for name in flat(base)}
+    return Command(base.override(**values), resume is not None)
+
+
+def _peek(arguments: list[str], flag: str) -> str | None:
+    """Value of a flag, before all are read."""
+    for argument, following in zip(arguments, [*arguments[1:], None], strict=True):
+        if argument == flag:
+            return following
+        if argument.startswith(f"{flag}="):
+            return argument.partition("=")[2]
+    return None
+
+
+def _known(value: str | None, choices: Any) -> str | None:
+    """A choice, or nothing where it is none: the parser then says which there are."""
+    return value if value in choices else None
+
+
+def _command_class(base: Config, show_all: bool) -> type:
+    """One flat dataclass of all settings, as tyro reads it."""
+    bonus = Annotated[Literal[tuple(BONUS_CONFIGS)], tyro.conf.arg(help=BONUS_HELP)]  # type: ignore[valid-type]
+    preset = Annotated[Literal[tuple(PRESETS)], tyro.conf.arg(help=PRESET_HELP)]  # type: ignore[valid-type]
+    resumed = Annotated[Path | None, tyro.conf.arg(help=RESUME_HELP)]
+    own: list[Any] = [
+        ("resume", resumed, field(default=None)),
+        ("bonus", bonus, field(default=base.bonus.kind)),
+        ("preset", preset, field(default="fast")),
+    ]
+    for name, each in flat(base).items():
+        hidden = () if show_all or name in COMMON else (tyro.conf.Suppress,)
+        argument = tyro.conf.arg(help=help_of(each))
+        annotation = Annotated[(_annotation(each), argument, *hidden)]  # type: ignore[valid-type]
+        own.append((name, annotation, _default(each)))
+    return make_dataclass("Command", own)
+
+
+def _annotation(each: Setting) -> Any:
+    """Type of a setting on a command line, where values that can be parsed are text."""
+    if any(hasattr(option, "parse") for option in get_args(each.annotation)):
+        return str
+    return each.annotation
+
+
+def _default(each: Setting) -> Any:
+    value = each.value
+    if _annotation(each) is str:
+        return field(default=str(value))
+    if isinstance(value, dict):
+        return field(default_factory=lambda: dict(value))
+    return field(default=value)
+
+
+def _from_text(each: Setting, value: Any) -> Any:
+    """A value of the command line as the setting takes it: a number where it is one."""
+    if _annotation(each) is not str or each.annotation is str:
+        return value
+    try:
+        return float(value)
+    except ValueError:
+        return value
+
+
+@cache
+def _comments(owner: type) -> dict[str, str]:
+    """Text below each field of a class, and of those it extends."""
+    comments: dict[str, str] = {}
+    for kind in reversed(owner.__mro__[:-1]):
+        try:
+            (tree,) = ast.parse(textwrap.dedent(inspect.getsource(kind))).body
+        except (OSError, TypeError):
+            continue
+        assert isinstance(tree, ast.ClassDef)
+        for statement, below in zip(tree.body, tree.body[1:], strict=False):
+            if isinstance(statement, ast.AnnAssign) and isinstance(below, ast.Expr):
+                name, text = ast.unparse(statement.target), ast.literal_eval(below.value)
+                comments[name] = " ".join(text.split())
+    return comments
+
+
+def help_of(each: Setting) -> str:
+    """What the comment of a setting says."""
+    return _comments(each.owner)[each.field]
