@@ -13,6 +13,15 @@ import numpy as np
 import tyro
 
 from deep_curiosity.tabular.agent import FixedPolicy, run
+from deep_curiosity.tabular.environments import (
+    STAY,
+    FiniteMDP,
+    chain,
+    clever_random,
+    grid_world,
+    random_mdp,
+    reliable_unreliable,
+)
 from deep_curiosity.tabular.estimators import CountedModel, QLearning, Sarsa
 from deep_curiosity.tabular.information import (
     action_information,
@@ -39,15 +48,6 @@ from deep_curiosity.tabular.neighbours import (
 from deep_curiosity.tabular.policies import boltzmann, random_log_policy
 from deep_curiosity.tabular.rate_return import largest_return, rate_return_curve
 from deep_curiosity.tabular.solvers import curious_score, curious_step, solve_stationary
-from deep_curiosity.tabular.worlds import (
-    STAY,
-    FiniteMDP,
-    chain,
-    clever_random,
-    grid_world,
-    random_mdp,
-    reliable_unreliable,
-)
 
 TEMPERATURES = (0.05, 0.3, 1.5)
 CURIOSITY_DISCOUNTS = (0.0, 0.5, 0.9, 0.99, 0.999, 1.0)
