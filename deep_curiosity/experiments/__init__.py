@@ -1,0 +1,1 @@
+"""Experiments that compute the tables and figures of the documentation."""
