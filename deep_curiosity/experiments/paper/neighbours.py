@@ -67,7 +67,7 @@ def write_neighbours(folder: Path, seed: int, *, num_steps: int = 5_000) -> list
         for method, policy in solve_all(mdp, seed, num_steps).items()
     ]
     write_table(folder / "neighbours.csv", NeighbourRow._fields, rows)
-    with open_figure(folder / "neighbours.png", 12, 4) as figure:
+    with open_figure(folder / "neighbours.png", 12.0, 4.0) as figure:
         axes = figure.subplots(1, len(environments), sharey=True)
         for axis, environment in zip(axes, environments, strict=True):
             plot_environment(axis, [row for row in rows if row.environment == environment])

@@ -30,12 +30,15 @@ class FarSightedRow(NamedTuple):
     bits: float
 
 
-def write_reliable_unreliable(folder: Path, seed: int) -> list[FarSightedRow]:
+def write_reliable_unreliable(
+    folder: Path, seed: int, *, num_discounts: int = 41
+) -> list[FarSightedRow]:
     """Writes the table and the figure; returns the rows of the first temperature.
 
     Args:
         folder: Existing folder of the files.
         seed: Seed of the random initial policies.
+        num_discounts: Number of points of the curve against the curiosity discount.
     """
     mdp, rng = reliable_unreliable(), np.random.default_rng(seed)
     rows = [
@@ -45,10 +48,10 @@ def write_reliable_unreliable(folder: Path, seed: int) -> list[FarSightedRow]:
     ]
     write_table(folder / "reliable_unreliable.csv", FarSightedRow._fields, rows)
     shown = rows[: len(CURIOSITY_DISCOUNTS)]
-    with open_figure(folder / "reliable_unreliable.png", 9, 3.7) as figure:
+    with open_figure(folder / "reliable_unreliable.png", 9.0, 3.7) as figure:
         left, right = figure.subplots(1, 2)
         plot_information(left, mdp, shown)
-        plot_horizon(right, mdp)
+        plot_horizon(right, mdp, np.linspace(0, 1, num_discounts))
     return shown
 
 
@@ -88,16 +91,21 @@ def plot_information(axis: Axes, mdp: FiniteMDP, rows: Sequence[FarSightedRow]) 
             color=ORANGE,
         )
     places = [(row.pi_stay_given_0, row.bits) for row in labelled]
-    axis.plot(*zip(*places, strict=True), "o", color=ORANGE, ms=5, label="curiosity_discount")
+    axis.plot(
+        *zip(*places, strict=True),
+        "o",
+        color=ORANGE,
+        ms=5,
+        label="solution, by curiosity_discount",
+    )
     axis.set(xlabel=r"probability $\pi(\mathrm{STAY}\,|\,0)$", ylim=(0, 0.68))
     axis.set_ylabel(r"$I(\{X, A\}; X')$ in bits")
     axis.set_title("Solution of each curiosity_discount")
     axis.legend(frameon=False, loc="lower center", fontsize=8)
 
 
-def plot_horizon(axis: Axes, mdp: FiniteMDP) -> None:
+def plot_horizon(axis: Axes, mdp: FiniteMDP, discounts: np.ndarray) -> None:
     """Plots pi(STAY | 0) against the curiosity discount."""
-    discounts = np.linspace(0, 1, 41)
     solutions = [
         solve_stationary(mdp, temperature=0.5, curiosity_discount=float(d), tolerance=1e-8)
         for d in discounts

@@ -82,7 +82,7 @@ def write_samples(folder: Path, seed: int, *, num_samples: int = 30_000) -> Quan
     rows = [(int(size), *map(float, row)) for size, row in zip(sizes, errors, strict=True)]
     write_table(folder / "samples.csv", ("samples", *Quantities._fields), rows)
     slopes = Quantities(*(fit_slope(sizes, error) for error in errors.T))
-    with open_figure(folder / "samples.png", 7.8, 4) as figure:
+    with open_figure(folder / "samples.png", 7.8, 4.0) as figure:
         plot_errors(figure, sizes, errors, slopes)
     return slopes
 
