@@ -1,1 +1,1 @@
-"""The paper's exact algorithm on finite worlds, equation by equation, in NumPy and in nats."""
+"""The paper's exact algorithm for finite environments, in NumPy and in nats."""

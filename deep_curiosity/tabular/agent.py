@@ -1,4 +1,4 @@
-"""The algorithm of section 4, with all its variants as parts to choose."""
+"""The algorithm of section 4, with a choice of variants for each of its estimates."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -8,15 +8,15 @@ import numpy as np
 from jaxtyping import Float
 
 from deep_curiosity.tabular.checks import check_at_least
+from deep_curiosity.tabular.environments import FiniteMDP
 from deep_curiosity.tabular.estimators import ActionValues, Experience, Model, StateEstimate
 from deep_curiosity.tabular.iteration import Solution
 from deep_curiosity.tabular.policies import uniform_log_policy
 from deep_curiosity.tabular.solvers import anneal, solve_time_step
-from deep_curiosity.tabular.worlds import FiniteMDP
 
 
 class Learner(ABC):
-    """What lives in a world: it acts and it sees what comes of it."""
+    """An agent that acts in an environment and learns from every step."""
 
     @abstractmethod
     def act(self, state: int, rng: np.random.Generator) -> int:
@@ -24,24 +24,24 @@ class Learner(ABC):
 
     @abstractmethod
     def observe(self, experience: Experience) -> None:
-        """Learns from one step."""
+        """Learns from one transition."""
 
 
-def draw(probability: Float[np.ndarray, " outcomes"], rng: np.random.Generator) -> int:
-    """Draws the index of an outcome."""
+def sample(probability: Float[np.ndarray, " outcomes"], rng: np.random.Generator) -> int:
+    """Samples the index of an outcome."""
     cumulative = np.cumsum(probability)
     return int(np.searchsorted(cumulative, rng.random() * cumulative[-1], side="right"))
 
 
 def run(
-    learner: Learner, world: FiniteMDP, num_steps: int, rng: np.random.Generator
+    learner: Learner, mdp: FiniteMDP, num_steps: int, rng: np.random.Generator
 ) -> list[Experience]:
-    """Lets a learner live in a world and returns what happened."""
-    state, history = draw(world.start, rng), []
+    """Runs a learner in an environment and returns its transitions."""
+    state, history = sample(mdp.start, rng), []
     for _ in range(num_steps):
         action = learner.act(state, rng)
-        next_state = draw(world.transition[state, action], rng)
-        reward = float(world.reward[state, action])
+        next_state = sample(mdp.transition[state, action], rng)
+        reward = float(mdp.reward[state, action])
         history.append(Experience(state, action, reward, next_state))
         learner.observe(history[-1])
         state = next_state
@@ -49,18 +49,18 @@ def run(
 
 
 class FixedPolicy(Learner):
-    """Follows one policy for ever, to gather a batch or to be compared with.
+    """Follows one fixed policy, to collect a batch or to serve as a baseline.
 
     Args:
-        policy: What to follow.
+        policy: The policy to follow.
     """
 
     def __init__(self, policy: Float[np.ndarray, "states actions"]) -> None:
         self.policy = policy
 
     def act(self, state: int, rng: np.random.Generator) -> int:
-        """Draws an action."""
-        return draw(self.policy[state], rng)
+        """Samples an action."""
+        return sample(self.policy[state], rng)
 
     def observe(self, experience: Experience) -> None:
         """Learns nothing."""
@@ -69,22 +69,22 @@ class FixedPolicy(Learner):
 class CuriousAgent(Learner):
     """The curious agent: solves (21) with (20) at every time step and acts on it.
 
-    Exact models, propagated states and exact values give the version that is exact throughout;
-    every part may be replaced by its estimate from samples.
+    The algorithm is exact throughout with an exact model, propagated states and exact values;
+    each of the three may be replaced by an estimate from samples.
 
     Args:
-        model: Knowledge of the world.
+        model: Model of the environment.
         states: Estimate of p_t(x).
         values: Estimate of Q(x, a).
-        temperature: The price lambda(t); `decreasing` with a least value has a lambda_min.
+        temperature: The price lambda(t); `decreasing` with a least value gives lambda_min.
         hunger: The weight alpha(t) of the reward, one number or one for each state.
         curiosity_discount: Discount of curiosity, 0 for the paper as written.
-        annealing: Multiples of lambda(t) to pass through at every time step, the last one 1;
-            falling ones are deterministic annealing.
-        period: Steps between plans; in between the estimates go on learning.
-        only_current_state: Whether a plan changes the policy in the present state only.
+        annealing: Multiples of lambda(t) to solve at in sequence at every time step, the last one
+            1; falling multiples are deterministic annealing.
+        period: Steps between plans; the estimates learn at every step.
+        only_current_state: Whether a plan changes the policy in the current state only.
         tolerance: Largest change of a probability that ends a plan.
-        max_iterations: Updates at each temperature after which a plan ends anyway.
+        max_iterations: Largest number of updates at each temperature.
     """
 
     def __init__(
@@ -117,11 +117,11 @@ class CuriousAgent(Learner):
 
     @property
     def policy(self) -> Float[np.ndarray, "states actions"]:
-        """The present policy."""
+        """The current policy."""
         return np.exp(self.log_policy)
 
     def plan(self, state: int) -> None:
-        """Steps 2(b) and 2(c): the policy for what is known now."""
+        """Steps 2(b) and 2(c): the policy for the current estimates."""
         transition, distribution = self.model.transition, self.states.distribution
         value = self.values.estimate(self.model, self.policy)
         weighted_value = np.reshape(self.hunger(self.step), (-1, 1)) * value
@@ -142,13 +142,13 @@ class CuriousAgent(Learner):
         self.log_policy = anneal(solve, self.log_policy, temperatures).log_policy
 
     def act(self, state: int, rng: np.random.Generator) -> int:
-        """Step 2(d): plans if it is time to, and draws an action."""
+        """Step 2(d): plans if a plan is due, and samples an action."""
         if self.step % self.period == 0:
             self.plan(state)
-        return draw(self.policy[state], rng)
+        return sample(self.policy[state], rng)
 
     def observe(self, experience: Experience) -> None:
-        """Steps 2(e), 2(f) and 2(a): values, model and states go on by one time step."""
+        """Steps 2(e), 2(f) and 2(a): updates values, model and states by one time step."""
         self.values.observe(experience)
         self.model.observe(experience)
         self.states.observe(experience, self.model.transition, self.policy)

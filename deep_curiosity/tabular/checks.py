@@ -1,4 +1,4 @@
-"""Checks at the door: each names the argument, the rule and the value received."""
+"""Argument checks: each error names the argument, the rule and the value received."""
 
 import numpy as np
 from jaxtyping import Float

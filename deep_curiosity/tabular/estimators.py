@@ -1,4 +1,4 @@
-"""What the algorithm of section 4 needs to know, each exact or estimated from samples."""
+"""The quantities that the algorithm of section 4 needs, exact or estimated from samples."""
 
 from abc import ABC, abstractmethod
 from typing import NamedTuple
@@ -12,12 +12,12 @@ from deep_curiosity.tabular.checks import (
     check_positive,
     check_range,
 )
+from deep_curiosity.tabular.environments import LARGEST_DISCOUNT, FiniteMDP
 from deep_curiosity.tabular.markov import action_values, propagate
-from deep_curiosity.tabular.worlds import LARGEST_DISCOUNT, FiniteMDP
 
 
 class Experience(NamedTuple):
-    """One step of life."""
+    """One transition of one environment."""
 
     state: int
     action: int
@@ -26,7 +26,7 @@ class Experience(NamedTuple):
 
 
 class Model(ABC):
-    """Knowledge of where actions lead and what they pay."""
+    """Model of the transitions and rewards of an environment."""
 
     @property
     @abstractmethod
@@ -40,34 +40,35 @@ class Model(ABC):
 
     @abstractmethod
     def observe(self, experience: Experience) -> None:
-        """Learns from one step."""
+        """Learns from one transition."""
 
 
 class ExactModel(Model):
-    """The true world, with nothing to learn."""
+    """The true transitions and rewards, with nothing to learn."""
 
-    def __init__(self, world: FiniteMDP) -> None:
-        self.world = world
+    def __init__(self, mdp: FiniteMDP) -> None:
+        self.mdp = mdp
 
     @property
     def transition(self) -> Float[np.ndarray, "states actions next_states"]:
-        """The transitions of the world."""
-        return self.world.transition
+        """The true transitions."""
+        return self.mdp.transition
 
     @property
     def reward(self) -> Float[np.ndarray, "states actions"]:
-        """The rewards of the world."""
-        return self.world.reward
+        """The true rewards."""
+        return self.mdp.reward
 
     def observe(self, experience: Experience) -> None:
         """Learns nothing."""
 
 
 class CountedModel(Model):
-    """Frequencies of next states and mean rewards; what was never tried may lead anywhere.
+    """Frequencies of next states and mean rewards, uniform before an action is tried.
 
-    So what was never tried looks unpredictable, and attracts no curiosity: (18) rewards what the
-    model can tell, not what it would learn. Gather a batch first, or begin at a high temperature.
+    An action that was never tried therefore looks unpredictable and attracts no curiosity: (18)
+    rewards what the model can predict, not what it would learn. Collect a batch first, or begin
+    at a high temperature.
 
     Args:
         num_states: Number of states.
@@ -93,7 +94,7 @@ class CountedModel(Model):
         return self.reward_sum / self.counts.sum(-1)
 
     def observe(self, experience: Experience) -> None:
-        """Counts one step."""
+        """Counts one transition."""
         state, action, reward, next_state = experience
         self.counts[state, action, next_state] += 1
         self.reward_sum[state, action] += reward
@@ -105,7 +106,7 @@ class StateEstimate(ABC):
     @property
     @abstractmethod
     def distribution(self) -> Float[np.ndarray, " states"]:
-        """The present estimate."""
+        """The current estimate."""
 
     @abstractmethod
     def observe(
@@ -114,7 +115,7 @@ class StateEstimate(ABC):
         transition: Float[np.ndarray, "states actions next_states"],
         policy: Float[np.ndarray, "states actions"],
     ) -> None:
-        """Goes on by one time step."""
+        """Updates the estimate by one time step."""
 
 
 class PropagatedStates(StateEstimate):
@@ -139,12 +140,12 @@ class PropagatedStates(StateEstimate):
         transition: Float[np.ndarray, "states actions next_states"],
         policy: Float[np.ndarray, "states actions"],
     ) -> None:
-        """Propagates the distribution; what was seen plays no part."""
+        """Propagates the distribution; the experience is not used."""
         self.present = propagate(self.present, transition, policy)
 
 
 class VisitedStates(StateEstimate):
-    """Share of the visits every state has had, after one imagined visit spread over all.
+    """Share of visits of every state, counting one pseudo-visit divided over all states.
 
     Args:
         num_states: Number of states.
@@ -165,7 +166,7 @@ class VisitedStates(StateEstimate):
         transition: Float[np.ndarray, "states actions next_states"],
         policy: Float[np.ndarray, "states actions"],
     ) -> None:
-        """Counts the state that was left; model and policy play no part."""
+        """Counts the state that was left; model and policy are not used."""
         self.visits[experience.state] += 1
 
 
@@ -178,11 +179,11 @@ class ActionValues(ABC):
 
     @abstractmethod
     def observe(self, experience: Experience) -> None:
-        """Learns from one step."""
+        """Learns from one transition."""
 
 
 class ExactValues(ActionValues):
-    """Solves (1) for the present model and policy.
+    """Solves (1) for the current model and policy.
 
     Args:
         discount: Discount of the return.
@@ -216,7 +217,7 @@ class TemporalDifference(ActionValues):
         self.visits = np.zeros((num_states, num_actions))
 
     def estimate(self, model: Model, policy: Float[np.ndarray, "states actions"]) -> np.ndarray:
-        """The table as it stands."""
+        """The current table."""
         return self.action_value
 
     def learn(self, state: int, action: int, target: float) -> None:
@@ -227,16 +228,16 @@ class TemporalDifference(ActionValues):
 
 
 class Sarsa(TemporalDifference):
-    """Values of the policy that acts: each step is learned from once the next action is known."""
+    """Values of the policy that acts: each transition is used once the next action is known."""
 
     unfinished: Experience | None = None
 
     def observe(self, experience: Experience) -> None:
-        """Finishes the step before with this action, and keeps this one for the next."""
+        """Learns from the previous transition with this action, and keeps this transition."""
         if self.unfinished is not None:
             state, action, reward, _ = self.unfinished
-            following = self.action_value[experience.state, experience.action]
-            self.learn(state, action, reward + self.discount * following)
+            next_value = self.action_value[experience.state, experience.action]
+            self.learn(state, action, reward + self.discount * next_value)
         self.unfinished = experience
 
 
@@ -244,6 +245,6 @@ class QLearning(TemporalDifference):
     """Values of the best policy: learns from the best next action."""
 
     def observe(self, experience: Experience) -> None:
-        """Learns from one step."""
+        """Learns from one transition."""
         state, action, reward, next_state = experience
         self.learn(state, action, reward + self.discount * self.action_value[next_state].max())

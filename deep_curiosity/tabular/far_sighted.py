@@ -6,7 +6,7 @@ from jaxtyping import Float
 from deep_curiosity.tabular.checks import check_range
 from deep_curiosity.tabular.markov import limiting_matrix, state_chain
 
-LARGEST_DIVERGENCE = -float(np.log(np.finfo(float).tiny))  # nats, of what has no chance at all
+LARGEST_DIVERGENCE = -float(np.log(np.finfo(float).tiny))  # nats, where the marginal is zero
 
 
 def curiosity_values(
@@ -25,7 +25,7 @@ def curiosity_values(
         V_D = \sum_{t \ge 0} \gamma_D^t \left( P_\pi^t - P_\pi^\infty \right) D_\pi.
 
     Args:
-        transition: The world.
+        transition: Transition probabilities.
         divergence: D(x, a) of (18) under the policy, cut at 708 nats where it is infinite.
         policy: The policy from the next step on.
         curiosity_discount: Discount of curiosity, 1 included.

@@ -10,12 +10,12 @@ from jaxtyping import Float
 from deep_curiosity.tabular.checks import check_at_least, check_positive, check_range
 from deep_curiosity.tabular.policies import normalize_log
 
-LONGEST_CYCLE = 8  # policies remembered to recognise a cycle
+LONGEST_CYCLE = 8  # number of policies kept to recognise a cycle
 
 
 @dataclass(frozen=True)
 class Solution:
-    """Where an iteration ended, and how it came there.
+    """Where an iteration ended, and its path there.
 
     Args:
         log_policy: Log of the last policy.
@@ -52,14 +52,14 @@ def damp(
     target: Float[np.ndarray, "states actions"],
     damping: float,
 ) -> Float[np.ndarray, "states actions"]:
-    r"""Goes part of the way to a target in log space: :math:`q^{1 - \eta} \pi^\eta`."""
-    if damping == 1:  # an action without any chance would give infinity times zero
+    r"""Interpolates to a target in log space: :math:`q^{1 - \eta} \pi^\eta`."""
+    if damping == 1:  # an action of probability zero would give infinity times zero
         return target
     return normalize_log((1 - damping) * log_policy + damping * target)
 
 
 def turns_back(recent: deque[np.ndarray]) -> bool:
-    """Whether the last of three policies undoes part of the step between the first two."""
+    """Whether the last step, of policies listed newest first, opposes the step before it."""
     if len(recent) < 3:
         return False
     last, middle, first = recent[0], recent[1], recent[2]
@@ -75,17 +75,16 @@ def iterate(
     tolerance: float = 1e-10,
     max_iterations: int = 20_000,
 ) -> Solution:
-    """Repeats an update of the log policy until it settles, cycles or has had its iterations.
+    """Repeats an update of the log policy until it converges, cycles or runs out of iterations.
 
     Args:
-        step: From a log policy to the one that the update as written makes of it, and to the
-            objective to trace.
+        step: Maps a log policy to its undamped update and to the objective to trace.
         log_policy: Where to start.
-        damping: Part of the way to go to the update in log space, 1 for all of it.
-        halving: Whether to halve the damping each time the policy turns back on itself.
-        tolerance: Largest change of a probability that counts as none; it shrinks as the
-            damping does.
-        max_iterations: Number of updates to give up after.
+        damping: Fraction of the step to the update in log space, 1 for the whole step.
+        halving: Whether to halve the damping each time the policy reverses its direction.
+        tolerance: Largest change of a probability that counts as convergence; it shrinks as
+            the damping does.
+        max_iterations: Largest number of updates.
     """
     check_range("damping", damping, float(np.nextafter(0, 1)), 1.0)
     check_positive("tolerance", tolerance)

@@ -1,10 +1,10 @@
-"""What a policy makes of a world: where it goes (8) and what that is worth (1, 2)."""
+"""Markov chain of a policy: its state distribution (8) and its values (1, 2)."""
 
 import numpy as np
 from jaxtyping import Float
 
 from deep_curiosity.tabular.checks import check_positive, check_range
-from deep_curiosity.tabular.worlds import LARGEST_DISCOUNT
+from deep_curiosity.tabular.environments import LARGEST_DISCOUNT
 
 SMALLEST_CHANGE = 1e-15  # states that leak less than this a step count as closed
 
@@ -29,7 +29,7 @@ def propagate(
 def limiting_matrix(
     chain: Float[np.ndarray, "states next_states"],
 ) -> Float[np.ndarray, "states next_states"]:
-    """Share of its life a chain spends in each state, for every state it may start from.
+    """Long-run share of time in each state, for every initial state.
 
     Squares the lazy chain, which has the same limit and no period, so closed classes and cycles
     need no special case.
@@ -69,7 +69,7 @@ def expected_return(
     policy: Float[np.ndarray, "states actions"],
     action_value: Float[np.ndarray, "states actions"],
 ) -> float:
-    """Expected return V (2) of states drawn from a distribution."""
+    """Expected return V (2) of states sampled from a distribution."""
     return float(np.einsum("x,xa,xa->", state_distribution, policy, action_value))
 
 

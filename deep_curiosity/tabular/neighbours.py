@@ -1,9 +1,9 @@
-"""The neighbours the paper names, as short tabular agents to compare with on the same worlds."""
+"""The related methods that the paper names, as tabular agents to compare with."""
 
 import numpy as np
 from jaxtyping import Float
 
-from deep_curiosity.tabular.agent import Learner, draw
+from deep_curiosity.tabular.agent import Learner, sample
 from deep_curiosity.tabular.checks import (
     check_at_least,
     check_distribution,
@@ -11,6 +11,7 @@ from deep_curiosity.tabular.checks import (
     check_range,
     check_shape,
 )
+from deep_curiosity.tabular.environments import FiniteMDP
 from deep_curiosity.tabular.estimators import CountedModel, Experience, QLearning
 from deep_curiosity.tabular.far_sighted import curiosity_values
 from deep_curiosity.tabular.information import (
@@ -31,7 +32,6 @@ from deep_curiosity.tabular.policies import (
     normalize_log,
     uniform_log_policy,
 )
-from deep_curiosity.tabular.worlds import FiniteMDP
 
 
 class EpsilonGreedy(Learner):
@@ -55,25 +55,25 @@ class EpsilonGreedy(Learner):
 
     @property
     def policy(self) -> Float[np.ndarray, "states actions"]:
-        """The present policy."""
+        """The current policy."""
         return epsilon_greedy(self.values.action_value, self.epsilon)
 
     def act(self, state: int, rng: np.random.Generator) -> int:
-        """Draws an action."""
-        return draw(self.policy[state], rng)
+        """Samples an action."""
+        return sample(self.policy[state], rng)
 
     def observe(self, experience: Experience) -> None:
-        """Learns from one step."""
+        """Learns from one transition."""
         self.values.observe(experience)
 
 
 class PredictionErrorCuriosity(EpsilonGreedy):
-    """Seeks what its own model of the world fails to predict: the reward is -log p(x' | x, a).
+    """Seeks what its own model fails to predict: the reward is -log p(x' | x, a).
 
     Args:
         num_states: Number of states.
         num_actions: Number of actions.
-        discount: Discount of the surprise to come.
+        discount: Discount of the surprise.
         epsilon: Probability of a random action.
 
     Reference: Schmidhuber, "A possibility for implementing curiosity and boredom in
@@ -87,7 +87,7 @@ class PredictionErrorCuriosity(EpsilonGreedy):
         self.model = CountedModel(num_states, num_actions, pseudo_count=1.0)
 
     def observe(self, experience: Experience) -> None:
-        """Is rewarded by its surprise in nats, then learns to be surprised no more."""
+        """Learns values with the surprise in nats as reward, then updates the model."""
         state, action, _, next_state = experience
         surprise = -float(np.log(self.model.transition[state, action, next_state]))
         self.values.observe(experience._replace(reward=surprise))
@@ -95,13 +95,13 @@ class PredictionErrorCuriosity(EpsilonGreedy):
 
 
 class RMax(Learner):
-    """Optimism: what was tried too seldom is believed to pay the largest reward for ever.
+    """Optimism: an action tried too seldom is assumed to earn the largest reward for ever.
 
     Args:
         num_states: Number of states.
         num_actions: Number of actions.
         discount: Discount of the return.
-        largest_reward: The largest reward of the world.
+        largest_reward: The largest reward of the environment.
         num_known: Tries after which an action counts as known.
 
     Reference: Brafman & Tennenholtz, "R-MAX" (2002).
@@ -125,11 +125,11 @@ class RMax(Learner):
 
     @property
     def policy(self) -> Float[np.ndarray, "states actions"]:
-        """The present policy."""
+        """The current policy."""
         return greedy(self.action_value)
 
     def plan(self) -> None:
-        """Solves the optimistic model, in which the unknown holds whoever enters it."""
+        """Solves the optimistic model, in which an unknown action keeps the state."""
         known = self.tries >= self.num_known
         stays = np.broadcast_to(np.eye(len(known))[:, None], self.model.transition.shape)
         transition = np.where(known[:, :, None], self.model.transition, stays)
@@ -137,11 +137,11 @@ class RMax(Learner):
         self.action_value = optimal_action_values(transition, reward, self.discount)
 
     def act(self, state: int, rng: np.random.Generator) -> int:
-        """Draws one of the best actions."""
-        return draw(self.policy[state], rng)
+        """Samples one of the best actions."""
+        return sample(self.policy[state], rng)
 
     def observe(self, experience: Experience) -> None:
-        """Counts one step, and plans anew when an action becomes known."""
+        """Counts one transition, and plans again when an action becomes known."""
         self.model.observe(experience)
         self.tries[experience.state, experience.action] += 1
         if self.tries[experience.state, experience.action] == self.num_known:
@@ -149,58 +149,58 @@ class RMax(Learner):
 
 
 def information_to_go(
-    world: FiniteMDP,
+    mdp: FiniteMDP,
     state_distribution: Float[np.ndarray, " states"],
     *,
     reward_weight: float,
     num_iterations: int = 1_000,
 ) -> Float[np.ndarray, "states actions"]:
-    r"""Log policy that trades reward for information to go: all bits from here on are a cost.
+    r"""Log policy that trades reward for information to go: all future bits are a cost.
 
     .. math:: G(x, a) = D(x, a) - \beta R(x, a) + \gamma \sum_{x'} p(x' | x, a) F(x'), \qquad
         F(x) = -\log \sum_a p(a) e^{-G(x, a)}, \qquad \pi(a | x) = p(a) e^{F(x) - G(x, a)}
 
-    The divergence D that a curious agent seeks is part of the price here, reward and information
-    share one value, and both marginals belong to one given state distribution. (The discount of
-    the world is ours: the original sums to the end of an episode.)
+    The divergence D that a curious agent seeks is a cost here, reward and information share one
+    value, and both marginals belong to one given state distribution. (The discount is an addition
+    here: the original sums to the end of an episode.)
 
     Args:
-        world: The world.
-        state_distribution: Distribution that both marginals are taken over; every state needs a
-            chance, or what leads there would have no price.
+        mdp: The environment.
+        state_distribution: Distribution that both marginals are taken over; every state needs
+            a positive probability, or what leads there would have no finite cost.
         reward_weight: Nats paid for one unit of reward, beta.
         num_iterations: Number of updates.
 
     Reference: Tishby & Polani, "Information theory of decisions and actions" (2010).
     """
-    check_shape("state_distribution", state_distribution, (world.num_states,))
+    check_shape("state_distribution", state_distribution, (mdp.num_states,))
     check_distribution("state_distribution", state_distribution)
     check_positive("state_distribution", float(state_distribution.min()))
     check_at_least("num_iterations", num_iterations, 1)
-    log_policy = uniform_log_policy(world.num_states, world.num_actions)
-    free_energy = np.zeros(world.num_states)
+    log_policy = uniform_log_policy(mdp.num_states, mdp.num_actions)
+    free_energy = np.zeros(mdp.num_states)
     for _ in range(num_iterations):
         log_prior = log_action_marginal(log_policy, state_distribution)
-        log_marginal = log_next_state_marginal(world.transition, log_policy, state_distribution)
-        cost = curiosity(world.transition, log_marginal) - reward_weight * world.reward
-        cost = cost + world.discount * world.transition @ free_energy
+        log_marginal = log_next_state_marginal(mdp.transition, log_policy, state_distribution)
+        cost = curiosity(mdp.transition, log_marginal) - reward_weight * mdp.reward
+        cost = cost + mdp.discount * mdp.transition @ free_energy
         free_energy = -np.logaddexp.reduce(log_prior - cost, axis=-1)
         log_policy = information_limited(log_prior, -cost, 1.0)
     return log_policy
 
 
 def dynamic_policy_programming(
-    world: FiniteMDP, *, temperature: float, num_iterations: int = 1_000
+    mdp: FiniteMDP, *, temperature: float, num_iterations: int = 1_000
 ) -> Float[np.ndarray, "states actions"]:
-    r"""Log policy after updates that each pay for leaving the policy before, not the prior.
+    r"""Log policy after updates that each penalise the change from the previous policy.
 
     .. math:: \Psi \leftarrow \Psi - M \Psi + R + \gamma P M \Psi, \qquad
         \pi \propto e^{\Psi / \lambda}, \qquad M \Psi(x) = \sum_a \pi(a | x) \Psi(x, a)
 
-    Since what it pays for is change, it ends at the optimal policy for any temperature.
+    Since only change is penalised, it converges to the optimal policy at any temperature.
 
     Args:
-        world: The world.
+        mdp: The environment.
         temperature: Price of a nat of relative entropy between successive policies.
         num_iterations: Number of updates.
 
@@ -208,47 +208,47 @@ def dynamic_policy_programming(
     """
     check_positive("temperature", temperature)
     check_at_least("num_iterations", num_iterations, 1)
-    preference = np.zeros((world.num_states, world.num_actions))
+    preference = np.zeros((mdp.num_states, mdp.num_actions))
     for _ in range(num_iterations):
         policy = np.exp(boltzmann(preference, temperature))
         mean = np.einsum("xa,xa->x", policy, preference)
-        backup = world.reward + world.discount * world.transition @ mean
+        backup = mdp.reward + mdp.discount * mdp.transition @ mean
         preference = preference - mean[:, None] + backup
     return boltzmann(preference, temperature)
 
 
 def predictive_states(
-    world: FiniteMDP,
+    mdp: FiniteMDP,
     log_policy: Float[np.ndarray, "states actions"],
     *,
     curiosity_discount: float = 0.0,
     max_iterations: int = 5_000,
 ) -> Solution:
-    r"""Climbs the predictive information of the state sequence alone, I(X; X').
+    r"""Maximises the predictive information of the state sequence alone, I(X; X').
 
     An action is worth :math:`\sum_{x'} p(x' | x, a) \log p_\pi(x' | x) / p_\pi(x')`: how well the
-    state, without the action, foretells where it leads. The information is not concave in the
-    policy, so where the climb ends depends on where it starts.
+    state, without the action, predicts the next state. The information is not concave in the
+    policy, so the solution depends on the initial policy.
 
     Args:
-        world: The world.
-        log_policy: Where to start.
-        curiosity_discount: Discount of what comes later.
-        max_iterations: Number of updates to give up after.
+        mdp: The environment.
+        log_policy: Initial log policy.
+        curiosity_discount: Discount of the information.
+        max_iterations: Largest number of updates.
 
     Reference: Ay et al., "Predictive information and explorative behavior of autonomous
     robots" (2008).
     """
-    log_transition = safe_log(world.transition)
+    log_transition = safe_log(mdp.transition)
 
     def step(log_policy: np.ndarray) -> tuple[np.ndarray, float]:
         policy = np.exp(log_policy)
-        states = stationary_distribution(world.transition, policy, world.start)
+        states = stationary_distribution(mdp.transition, policy, mdp.start)
         log_chain = np.logaddexp.reduce(log_policy[:, :, None] + log_transition, axis=1)
-        log_marginal = log_next_state_marginal(world.transition, log_policy, states)
-        foretold = weighted_sum(world.transition, log_chain[:, None] - log_marginal)
-        score = curiosity_values(world.transition, foretold, policy, curiosity_discount)
-        reached = state_predictive_information(world.transition, policy, states)
-        return normalize_log(log_policy + score), reached
+        log_marginal = log_next_state_marginal(mdp.transition, log_policy, states)
+        predictability = weighted_sum(mdp.transition, log_chain[:, None] - log_marginal)
+        score = curiosity_values(mdp.transition, predictability, policy, curiosity_discount)
+        objective = state_predictive_information(mdp.transition, policy, states)
+        return normalize_log(log_policy + score), objective
 
     return iterate(step, log_policy, damping=0.5, halving=True, max_iterations=max_iterations)

@@ -5,7 +5,7 @@ from jaxtyping import Float
 
 from deep_curiosity.tabular.checks import check_positive, check_range
 
-REVIVAL = 1e-3  # uniform share of a revived policy
+UNIFORM_SHARE = 1e-3  # probability divided over all actions
 TIE_TOLERANCE = 1e-9  # scores are sums of logs, exact to about 1e-13 of their size
 
 
@@ -17,20 +17,22 @@ def normalize_log(
 
 
 def uniform_log_policy(num_states: int, num_actions: int) -> Float[np.ndarray, "states actions"]:
-    """Log of the policy that chooses all actions alike."""
+    """Log of the uniform policy."""
     return np.full((num_states, num_actions), -np.log(num_actions))
 
 
 def random_log_policy(
     num_states: int, num_actions: int, rng: np.random.Generator
 ) -> Float[np.ndarray, "states actions"]:
-    """Log of a policy drawn from a flat Dirichlet in every state."""
+    """Log of a policy sampled from a flat Dirichlet in every state."""
     return np.log(rng.dirichlet(np.ones(num_actions), size=num_states))
 
 
-def revive(log_policy: Float[np.ndarray, "states actions"]) -> Float[np.ndarray, "states actions"]:
-    """Mixes a small uniform share into a policy, so that no action stays dead for ever."""
-    share = np.log(REVIVAL / log_policy.shape[-1])
+def mix_uniform(
+    log_policy: Float[np.ndarray, "states actions"],
+) -> Float[np.ndarray, "states actions"]:
+    """Mixes a small uniform share into a policy, so that no action has probability zero."""
+    share = np.log(UNIFORM_SHARE / log_policy.shape[-1])
     return normalize_log(np.logaddexp(log_policy, share))
 
 
@@ -43,7 +45,7 @@ def information_limited(
 
     .. math:: \pi(a | x) \propto p(a) \exp(s(x, a) / \lambda)
 
-    An infinite score wins outright; those that share it are weighted by the prior.
+    Actions of infinite score take all probability, weighted among themselves by the prior.
 
     Args:
         log_prior: Log of the action marginal.

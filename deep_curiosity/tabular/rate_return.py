@@ -23,7 +23,7 @@ from deep_curiosity.tabular.policies import greedy, information_limited, uniform
 
 NUM_BISECTIONS = 40  # each halves the bracket of log lambda
 RATE_TOLERANCE = 1e-6  # nats below the given rate that end the bisection
-BRACKET = (1e-3, 1e3)  # in spreads of the values: nearly deterministic, and nearly deaf
+BRACKET = (1e-3, 1e3)  # in ranges of the values: nearly deterministic, and nearly zero rate
 
 
 class RatePoint(NamedTuple):
@@ -53,7 +53,7 @@ def solve_rate_limited(
     """Solves (13) with (14): the best trade of return for information, Q and p_t held fixed.
 
     The undamped iteration is the algorithm of Blahut and Arimoto with distortion -Q at slope
-    1 / lambda, which climbs to the maximum of V - lambda I(A; X).
+    1 / lambda, which maximises V - lambda I(A; X).
     """
     check_finite("action_value", action_value)
     check_shape("state_distribution", state_distribution, action_value.shape[:1])
@@ -107,15 +107,15 @@ def largest_return(
     Args:
         action_value: Q(x, a) of the policy on all other time steps.
         state_distribution: Distribution of the state at this time step.
-        rate: Nats that the action may tell about the state.
+        rate: Largest I(A; X), in nats.
     """
     check_range("rate", rate, 0.0, np.inf)
     check_finite("action_value", action_value)
-    spread = float(np.ptp(action_value))
-    best = deaf_point(action_value, state_distribution)
-    if rate == 0 or spread == 0:
+    value_range = float(np.ptp(action_value))
+    best = zero_rate_point(action_value, state_distribution)
+    if rate == 0 or value_range == 0:
         return best
-    low, high = (float(np.log(spread * end)) for end in BRACKET)
+    low, high = (float(np.log(value_range * end)) for end in BRACKET)
     freest = rate_point(action_value, state_distribution, float(np.exp(low)))
     if freest.rate <= rate:
         return freest
@@ -130,11 +130,11 @@ def largest_return(
     return best
 
 
-def deaf_point(
+def zero_rate_point(
     action_value: Float[np.ndarray, "states actions"],
     state_distribution: Float[np.ndarray, " states"],
 ) -> RatePoint:
-    """The start of the curve: the actions that are best on average, chosen without looking."""
+    """The start of the curve: the best constant policy, at rate zero."""
     policy = np.tile(greedy((state_distribution @ action_value)[None]), (len(action_value), 1))
     value = expected_return(state_distribution, policy, action_value)
     return RatePoint(float(np.inf), 0.0, value, policy)

@@ -1,4 +1,4 @@
-"""How the temperature lambda(t) and the hunger alpha(t) go with time."""
+"""Schedules of the temperature lambda(t) and the hunger alpha(t)."""
 
 from collections.abc import Callable
 from typing import TypeVar
@@ -11,17 +11,17 @@ Setting = TypeVar("Setting", float, np.ndarray)
 
 
 def fixed(setting: Setting) -> Callable[[int], Setting]:
-    """The same at every step: a number, or an array with one for each state."""
+    """A constant schedule: a number, or an array with one entry for each state."""
     return lambda step: setting
 
 
 def decreasing(first: float, factor: float, least: float = 0.0) -> Callable[[int], float]:
-    """Falls by a factor each step, never below `least`: lambda(t) down to lambda_min.
+    """Geometric decrease to a lower bound: lambda(t) down to lambda_min.
 
     Args:
         first: Value at step 0.
-        factor: What each step multiplies by, at most one.
-        least: Value it approaches and holds.
+        factor: Factor of each step, at most one.
+        least: Lower bound.
     """
     check_positive("first", first)
     check_range("factor", factor, 0.0, 1.0)

@@ -1,4 +1,4 @@
-"""The policy that solves (21) with (20): at one time step, and where it makes its own states."""
+"""The policy that solves (21) with (20): at one time step, and for its own stationary states."""
 
 from collections.abc import Callable, Iterable
 
@@ -6,6 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 
 from deep_curiosity.tabular.checks import check_distribution, check_shape
+from deep_curiosity.tabular.environments import FiniteMDP
 from deep_curiosity.tabular.far_sighted import curiosity_values
 from deep_curiosity.tabular.information import (
     action_information,
@@ -22,8 +23,7 @@ from deep_curiosity.tabular.markov import (
     expected_return,
     stationary_distribution,
 )
-from deep_curiosity.tabular.policies import information_limited, revive, uniform_log_policy
-from deep_curiosity.tabular.worlds import FiniteMDP
+from deep_curiosity.tabular.policies import information_limited, mix_uniform, uniform_log_policy
 
 
 def curious_objective(
@@ -36,11 +36,11 @@ def curious_objective(
     """The objective (16, 17) at one time step: I({X, A}; X') + alpha V - lambda I(A; X), in nats.
 
     Args:
-        transition: The world.
+        transition: Transition probabilities.
         policy: The policy of this time step, q.
         state_distribution: Distribution of the state at this time step.
-        weighted_value: Action values times alpha, in nats. Their mean is V of (6) less what was
-            earned before; the factor discount^t of (6) is counted into alpha.
+        weighted_value: Action values times alpha, in nats. Their mean is V of (6) without the
+            reward earned before; the factor discount^t of (6) is included in alpha.
         temperature: The price lambda.
     """
     return (
@@ -56,7 +56,7 @@ def curious_score(
     state_distribution: Float[np.ndarray, " states"],
     curiosity_discount: float = 0.0,
 ) -> Float[np.ndarray, "states actions"]:
-    """What curiosity puts into the exponent of (21): D, or its far-sighted sum, in nats."""
+    """The curiosity term in the exponent of (21): D, or its far-sighted sum, in nats."""
     log_marginal = log_next_state_marginal(transition, log_policy, state_distribution)
     divergence = curiosity(transition, log_marginal)
     return curiosity_values(transition, divergence, np.exp(log_policy), curiosity_discount)
@@ -86,8 +86,8 @@ def curious_step(
     return information_limited(log_prior, score + weighted_value, temperature), objective
 
 
-def climb(
-    circumstances: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
+def maximize(
+    states_and_values: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
     transition: Float[np.ndarray, "states actions next_states"],
     log_policy: Float[np.ndarray, "states actions"],
     *,
@@ -98,10 +98,10 @@ def climb(
     tolerance: float,
     max_iterations: int,
 ) -> Solution:
-    """Iterates (23)-(25), with the states and weighted values that `circumstances` gives."""
+    """Iterates (23)-(25), with the states and weighted values that `states_and_values` returns."""
 
     def step(log_policy: np.ndarray) -> tuple[np.ndarray, float]:
-        states, value = circumstances(log_policy)
+        states, value = states_and_values(log_policy)
         updated, objective = curious_step(
             transition, log_policy, states, value, temperature, curiosity_discount
         )
@@ -133,24 +133,24 @@ def solve_time_step(
     """Step 2(c) of the algorithm: the policy of one time step, p_t(x) and Q held fixed.
 
     With a `curiosity_discount` of 0 the objective is concave in the policy, so the damped
-    iteration climbs to its maximum from any policy that gives every action a chance.
+    iteration maximises it from any policy that gives every action a positive probability.
 
     Args:
-        transition: The world.
-        log_policy: Where to start, q^(0).
+        transition: Transition probabilities.
+        log_policy: Initial log policy, q^(0).
         state_distribution: Distribution of the state at this time step.
-        weighted_value: Action values times alpha, zero when not given.
+        weighted_value: Action values times alpha, by default zero.
         temperature: The price lambda.
         curiosity_discount: Discount of curiosity, 0 for the paper as written.
-        damping: Part of the way to go to (25) in log space, 1 for the update as written;
-            `safe_damping(temperature)`, halved at each overshoot, when not given.
-        recomputed: The states to change the policy in, all when not given.
-        tolerance: Largest change of a probability that counts as none.
-        max_iterations: Number of updates to give up after.
+        damping: Fraction of the step to (25) in log space, 1 for the update as written;
+            `safe_damping(temperature)`, halved at each overshoot, by default.
+        recomputed: The states in which the policy changes, by default all.
+        tolerance: Largest change of a probability that counts as convergence.
+        max_iterations: Largest number of updates.
     """
     check_start(log_policy, state_distribution, transition.shape[:2])
     value = np.zeros(log_policy.shape) if weighted_value is None else weighted_value
-    return climb(
+    return maximize(
         lambda log_policy: (state_distribution, value),
         transition,
         log_policy,
@@ -164,7 +164,7 @@ def solve_time_step(
 
 
 def solve_stationary(
-    world: FiniteMDP,
+    mdp: FiniteMDP,
     log_policy: Float[np.ndarray, "states actions"] | None = None,
     *,
     temperature: float,
@@ -177,32 +177,32 @@ def solve_stationary(
     """The policy that solves (21) with (20) for its own stationary states and its own Q.
 
     Args:
-        world: The world.
-        log_policy: Where to start, uniform when not given.
+        mdp: The environment.
+        log_policy: Initial log policy, by default uniform.
         temperature: The price lambda.
         hunger: Weight alpha of the reward.
         curiosity_discount: Discount of curiosity, 0 for the paper as written.
-        damping: Part of the way to go to (25) in log space, 1 for the update as written;
-            `safe_damping(temperature)`, halved at each overshoot, when not given.
-        tolerance: Largest change of a probability that counts as none.
-        max_iterations: Number of updates to give up after.
+        damping: Fraction of the step to (25) in log space, 1 for the update as written;
+            `safe_damping(temperature)`, halved at each overshoot, by default.
+        tolerance: Largest change of a probability that counts as convergence.
+        max_iterations: Largest number of updates.
     """
-    first = uniform_log_policy(*world.reward.shape) if log_policy is None else log_policy
-    check_start(first, world.start, world.reward.shape)
+    first = uniform_log_policy(*mdp.reward.shape) if log_policy is None else log_policy
+    check_start(first, mdp.start, mdp.reward.shape)
 
-    def circumstances(log_policy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def states_and_values(log_policy: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         policy = np.exp(log_policy)
-        value = action_values(world.transition, world.reward, policy, world.discount)
-        return stationary_distribution(world.transition, policy, world.start), hunger * value
+        value = action_values(mdp.transition, mdp.reward, policy, mdp.discount)
+        return stationary_distribution(mdp.transition, policy, mdp.start), hunger * value
 
-    return climb(
-        circumstances,
-        world.transition,
+    return maximize(
+        states_and_values,
+        mdp.transition,
         first,
         temperature=temperature,
         curiosity_discount=curiosity_discount,
         damping=damping,
-        recomputed=np.ones(world.num_states, bool),
+        recomputed=np.ones(mdp.num_states, bool),
         tolerance=tolerance,
         max_iterations=max_iterations,
     )
@@ -213,13 +213,14 @@ def anneal(
     log_policy: Float[np.ndarray, "states actions"],
     temperatures: Iterable[float],
 ) -> Solution:
-    """Deterministic annealing: solves at each temperature from where the last one ended.
+    """Deterministic annealing: solves at each temperature from the previous solution.
 
-    Every start is revived, since an action that died while hot may be wanted when cold.
+    A uniform share is mixed into every initial policy, since an action whose probability
+    vanished at a high temperature may be optimal at a low one.
 
     Args:
-        solve: From a log policy and a temperature to a solution.
-        log_policy: Where to start.
+        solve: Maps a log policy and a temperature to a solution.
+        log_policy: Initial log policy.
         temperatures: Temperatures, falling.
 
     Returns:
@@ -227,7 +228,7 @@ def anneal(
     """
     solution = None
     for temperature in temperatures:
-        solution = solve(revive(log_policy), temperature)
+        solution = solve(mix_uniform(log_policy), temperature)
         log_policy = solution.log_policy
     if solution is None:
         raise ValueError("`temperatures` must name at least one temperature, got none.")
@@ -239,7 +240,7 @@ def check_start(
     state_distribution: Float[np.ndarray, " some_states"],
     shape: tuple[int, ...],
 ) -> None:
-    """Raises unless a solver can start from this policy and these states."""
+    """Raises unless policy and state distribution are valid and match the shape."""
     check_shape("log_policy", log_policy, shape)
     check_shape("state_distribution", state_distribution, shape[:1])
     check_distribution("policy", np.exp(log_policy))

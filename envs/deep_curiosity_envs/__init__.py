@@ -9,7 +9,7 @@ Example:
     >>> envs = gymnasium.make_vec("deep_curiosity/PendulumSwingup-v0", num_envs=64)
 """
 
-# ruff: noqa: E402, the tasks import what is loaded first
+# ruff: noqa: E402, MuJoCo has to be loaded before the tasks import it
 
 import gymnasium
 
@@ -62,7 +62,7 @@ _EPISODE_STEPS: dict[type[MujocoTask], int] = {
 
 
 def _register(task: type[gymnasium.Env], num_steps: int) -> str:
-    """Make the task known to Gymnasium, once, and return its id."""
+    """Register the task with Gymnasium, once, and return its id."""
     task_id = f"deep_curiosity/{task.__name__}-v0"
     if task_id not in gymnasium.registry:
         entry_point = f"{task.__module__}:{task.__name__}"
@@ -75,7 +75,7 @@ def _register(task: type[gymnasium.Env], num_steps: int) -> str:
     return task_id
 
 
-ILLUSTRATION_IDS = tuple(_register(world, 100) for world in (CleverRandom, ReliableUnreliable))
+ILLUSTRATION_IDS = tuple(_register(task, 100) for task in (CleverRandom, ReliableUnreliable))
 """The paper's two illustrations, for the deep agent: two states, no reward."""
 TASK_IDS = tuple(_register(task, num_steps) for task, num_steps in _EPISODE_STEPS.items())
-"""The MuJoCo tasks, every one of which is also a vector environment of its own."""
+"""The MuJoCo tasks, each of which also has a vector environment of its own."""

@@ -1,4 +1,4 @@
-"""A rover that lives as long as it comes back to its charger."""
+"""A rover that has to return to its charger before its battery is empty."""
 
 from functools import partial
 
@@ -49,7 +49,7 @@ class BatteryRover(PointRoom):
 
     @property
     def energy(self) -> Array64:
-        """What is left in the battery, 1 when full."""
+        """Charge of the battery, 1 when full."""
         return self.userdata[..., ENERGY]
 
     @property
@@ -69,7 +69,7 @@ class BatteryRover(PointRoom):
         super().initialize_episode()
         self.userdata[ENERGY] = 1.0
 
-    def advance(self, control: Array64) -> None:
+    def after_step(self, control: Array64) -> None:
         """Charge on the charger, drain elsewhere."""
         energy, charging = self.energy, self.on_charger
         charged = np.minimum(1.0 - energy, CHARGE_PER_STEP)
@@ -83,14 +83,14 @@ class BatteryRover(PointRoom):
         return np.concatenate((self.scaled_motion, self.energy[..., None]), axis=-1)
 
     def get_reward(self) -> Array64:
-        """What the step has charged, of what a step can."""
+        """Charge gained in the step, as a share of the largest possible."""
         return self.userdata[..., CHARGED] / CHARGE_PER_STEP
 
     def is_terminated(self) -> Array:
         """Whether the rover has starved."""
         return self.starved
 
-    def get_info(self) -> dict[str, Array]:
+    def get_task_info(self) -> dict[str, Array]:
         """State of the battery, and the cell of the rover."""
         return {"energy": self.energy.copy(), "starved": self.starved, "cell": self.cell}
 

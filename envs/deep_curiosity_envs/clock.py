@@ -1,4 +1,4 @@
-"""The clock that MuJoCo reads while it steps, and how to spare it that."""
+"""The clock that MuJoCo reads while it steps, and how to stop it."""
 
 import ctypes
 from collections.abc import Iterator
@@ -8,7 +8,7 @@ import mujoco
 
 
 def _find_clock() -> ctypes.c_void_p | None:
-    """MuJoCo's pointer to its clock, or None on a system that does not show it."""
+    """MuJoCo's pointer to its clock, or None on a system that does not export it."""
     try:
         return ctypes.c_void_p.in_dll(ctypes.CDLL(mujoco._callbacks.__file__), "mjcb_time")
     except (AttributeError, OSError, ValueError):
@@ -20,7 +20,7 @@ _CLOCK = _find_clock()
 
 @contextmanager
 def clock_stopped() -> Iterator[None]:
-    """Spare MuJoCo from reading the clock dozens of times in every physics step.
+    """Keep MuJoCo from reading the clock dozens of times in every physics step.
 
     MuJoCo's Python package times every stage for `MjData.timer`, which costs half of a small
     model's step, and has no switch for it; MuJoCo itself does so only where `mjcb_time` is set.

@@ -8,22 +8,22 @@ SETTING = "MUJOCO_GL"
 
 
 def load_engine() -> None:
-    """Import MuJoCo; to draw nothing is no reason to train nothing.
+    """Import MuJoCo, also where its renderer is missing: training needs no picture.
 
-    MuJoCo fails as a whole where `MUJOCO_GL` names a library that PyOpenGL looks for in vain. It
-    is then told, with a warning, to do without one; who asks for a picture is told so again.
+    MuJoCo cannot be imported where `MUJOCO_GL` names a library that PyOpenGL does not find. The
+    renderer is then disabled, with a warning; rendering raises an error of its own.
 
     Raises:
         ImportError: If MuJoCo itself is missing.
     """
     try:
         import_module("mujoco")
-    except AttributeError as error:  # of the library that PyOpenGL has not found
-        asked = os.environ.get(SETTING)
+    except AttributeError as error:  # raised by PyOpenGL for a missing library
+        requested = os.environ.get(SETTING)
         os.environ[SETTING] = "disable"
         import_module("mujoco")
         warnings.warn(
-            f"`{SETTING}` must name an OpenGL library that is installed, got {asked!r} "
+            f"`{SETTING}` must name an OpenGL library that is installed, got {requested!r} "
             f"({error}): nothing can be drawn.",
             stacklevel=2,
         )

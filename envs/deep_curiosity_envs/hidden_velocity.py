@@ -1,4 +1,4 @@
-"""Swing-ups that show where things are and not how fast they move."""
+"""Swing-ups whose observations hold positions but no velocities."""
 
 from functools import partial
 
@@ -12,7 +12,7 @@ NUM_CARTPOLE_POSITIONS = 3  # cart, cosine and sine, before both speeds
 
 
 class PendulumHiddenVelocity(PendulumSwingup):
-    """`PendulumSwingup` without the speed: what it needs to know takes two observations.
+    """`PendulumSwingup` without the speed: the full state takes two observations.
 
     Observation: cosine and sine of the pole's angle from upright.
 
@@ -29,7 +29,7 @@ class PendulumHiddenVelocity(PendulumSwingup):
 
 
 class CartpoleHiddenVelocity(CartpoleSwingup):
-    """`CartpoleSwingup` without the speeds: what it needs to know takes two observations.
+    """`CartpoleSwingup` without the speeds: the full state takes two observations.
 
     Observation: cart position in half rails (2 m), cosine and sine of the pole's angle from
     upright.

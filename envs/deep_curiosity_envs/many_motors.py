@@ -1,4 +1,4 @@
-"""The pendulum's swing-up with twelve small motors in the place of its one."""
+"""The pendulum's swing-up with twelve small motors in place of one."""
 
 from functools import partial
 

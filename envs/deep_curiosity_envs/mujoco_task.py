@@ -1,4 +1,4 @@
-"""The contract that every MuJoCo task here follows, and the stepping and rendering they share."""
+"""The base class of every MuJoCo task here, with the stepping and rendering they share."""
 
 import abc
 import copy
@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from deep_curiosity_envs.clock import clock_stopped
-from deep_curiosity_envs.rewards import Hold
+from deep_curiosity_envs.rewards import SuccessStreak
 
 Array = NDArray[Any]
 Array32 = NDArray[np.float32]
@@ -32,18 +32,19 @@ class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
     `info` holds `is_success`. An episode is a function of the seed given to `reset` and of the
     actions.
 
-    What a task sees, pays and tells is a function of `qpos`, `qvel`, `mocap_pos` and `userdata`,
-    and is written for any number of worlds: their axis, where there is one, comes first, so that
-    coordinates are taken from the right, `self.qpos[..., 0]`. Here these are the arrays of the one
-    world in `data`; `over` gives the same task of many. What a task remembers beside the physics
-    lives in `userdata`, which is zero when an episode begins and which `advance` carries on.
+    Observation, reward, termination and info are functions of `qpos`, `qvel`, `mocap_pos` and
+    `userdata`, written for any number of environments: their axis, where there is one, comes
+    first, so that coordinates are indexed from the right, `self.qpos[..., 0]`. Here these are the
+    arrays of the one environment in `data`; `batched_view` returns the same task over the arrays
+    of many. State beside the physics is kept in `userdata`, which is zero when an episode begins
+    and which `after_step` updates.
 
     Args:
         model: The compiled MuJoCo model; every actuator has the control range [-1, 1].
         observation_bound: Largest magnitude of every observation coordinate. Velocities beyond
             it, which the task's own forces hardly reach, are clipped.
         action_cost: Reward lost per step at full action.
-        render_mode: `"rgb_array"`, or None for a task that is never drawn.
+        render_mode: `"rgb_array"`, or None for a task that is never rendered.
 
     Raises:
         ValueError: If the action cost is negative or not finite, the render mode is unknown, or
@@ -77,39 +78,39 @@ class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
         self.observation_space = gymnasium.spaces.Box(-bound, bound, dtype=np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (model.nu,), dtype=np.float32)
         self.num_physics_steps = count_physics_steps(CONTROL_STEP, model.opt.timestep)
-        self.hold = Hold(round(self.hold_time / CONTROL_STEP))
+        self.success_streak = SuccessStreak(round(self.hold_time / CONTROL_STEP))
         self._bound = bound
         self._renderer: mujoco.Renderer | None = None
 
     @abc.abstractmethod
     def initialize_episode(self) -> None:
-        """Place the bodies of one world; random draws come from `self.np_random`."""
+        """Place the bodies of one environment; random numbers come from `self.np_random`."""
 
-    def advance(self, control: Array64) -> None:
-        """Carry `userdata` on by one control step, after the physics; by default it stays.
+    def after_step(self, control: Array64) -> None:
+        """Update `userdata` after the physics of a control step; by default it stays.
 
         Args:
-            control: The clipped actions, `(*worlds, action_dim)`.
+            control: The clipped actions, `(*batch, action_dim)`.
         """
 
     @abc.abstractmethod
     def get_observation(self) -> Array64:
-        """What the agent sees of the present state, `(*worlds, observation_dim)`."""
+        """Observation of the current state, `(*batch, observation_dim)`."""
 
     @abc.abstractmethod
     def get_reward(self) -> Array64:
-        """Reward of the present state in [0, 1], without the action's cost, `(*worlds,)`."""
+        """Reward of the current state in [0, 1], without the action's cost, `(*batch,)`."""
 
     def is_success(self) -> Array:
-        """Whether the task has been solved in this episode, `(*worlds,)`."""
-        return self.hold.achieved
+        """Whether the task has been solved in this episode, `(*batch,)`."""
+        return self.success_streak.achieved
 
     def is_terminated(self) -> Array:
-        """Whether the present state ends the episode, `(*worlds,)`; by default none does."""
-        return np.zeros_like(self.hold.achieved)
+        """Whether the current state ends the episode, `(*batch,)`; by default none does."""
+        return np.zeros_like(self.success_streak.achieved)
 
-    def get_info(self) -> dict[str, Array]:
-        """Extra diagnostics of the present state, beside `is_success`, each `(*worlds,)`."""
+    def get_task_info(self) -> dict[str, Array]:
+        """Diagnostics of the current state, beside `is_success`, each `(*batch,)`."""
         return {}
 
     def observe(self) -> Array32:
@@ -117,41 +118,41 @@ class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
         observation = self.get_observation().astype(np.float32, order="C")
         return np.minimum(np.maximum(observation, -self._bound), self._bound)
 
-    def inform(self) -> dict[str, Array]:
-        """All there is to tell of the present state."""
-        return {"is_success": self.is_success(), **self.get_info()}
+    def get_info(self) -> dict[str, Array]:
+        """The info of the current state: `is_success` and the task's own diagnostics."""
+        return {"is_success": self.is_success(), **self.get_task_info()}
 
-    def conclude(self, control: Array64) -> tuple[Array32, Array64, Array, dict[str, Array]]:
-        """What a control step has led to, of every world.
+    def _finish_step(self, control: Array64) -> tuple[Array32, Array64, Array, dict[str, Array]]:
+        """Outcome of a control step in every environment, after its physics.
 
         Args:
-            control: The clipped actions, `(*worlds, action_dim)`.
+            control: The clipped actions, `(*batch, action_dim)`.
 
         Returns:
             Observation, reward, whether the episode has terminated, and info.
         """
-        self.advance(control)
+        self.after_step(control)
         reward = self.get_reward()
-        self.hold.update(reward == 1.0)
+        self.success_streak.update(reward == 1.0)
         cost = self.action_cost * np.square(control).sum(-1) / control.shape[-1]
-        return self.observe(), reward - cost, self.is_terminated(), self.inform()
+        return self.observe(), reward - cost, self.is_terminated(), self.get_info()
 
-    def over(
+    def batched_view(
         self, qpos: Array64, qvel: Array64, mocap_pos: Array64, userdata: Array64
     ) -> "MujocoTask":
-        """The same task of many worlds, which are these arrays; it can conclude but not step.
+        """The same task over the state arrays of many environments; it has no physics of its own.
 
         Args:
-            qpos: `(num_worlds, nq)`.
-            qvel: `(num_worlds, nv)`.
-            mocap_pos: `(num_worlds, nmocap, 3)`.
-            userdata: `(num_worlds, nuserdata)`.
+            qpos: `(num_envs, nq)`.
+            qvel: `(num_envs, nv)`.
+            mocap_pos: `(num_envs, nmocap, 3)`.
+            userdata: `(num_envs, nuserdata)`.
         """
-        worlds = copy.copy(self)
-        worlds.qpos, worlds.qvel, worlds.mocap_pos = qpos, qvel, mocap_pos
-        worlds.userdata = userdata
-        worlds.hold = Hold(self.hold.num_steps, num_worlds=len(qpos))
-        return worlds
+        view = copy.copy(self)
+        view.qpos, view.qvel, view.mocap_pos = qpos, qvel, mocap_pos
+        view.userdata = userdata
+        view.success_streak = SuccessStreak(self.success_streak.num_steps, num_envs=len(qpos))
+        return view
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -160,9 +161,9 @@ class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
         super().reset(seed=seed)
         mujoco.mj_resetData(self.model, self.data)
         self.initialize_episode()
-        self.hold.reset()
+        self.success_streak.reset()
         mujoco.mj_forward(self.model, self.data)
-        return self.observe(), _as_scalars(self.inform())
+        return self.observe(), _as_scalars(self.get_info())
 
     def step(self, action: Array32) -> tuple[Array32, float, bool, bool, dict[str, Any]]:
         """Hold the action for one control step.
@@ -174,14 +175,14 @@ class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
         self.data.ctrl[:] = control
         with clock_stopped():
             mujoco.mj_step(self.model, self.data, self.num_physics_steps)
-        observation, reward, terminated, info = self.conclude(control)
+        observation, reward, terminated, info = self._finish_step(control)
         return observation, float(reward), bool(terminated), False, _as_scalars(info)
 
     def render(self) -> NDArray[np.uint8] | None:  # type: ignore[override]
-        """Picture of the present state, height by width by RGB; None without a render mode.
+        """Picture of the current state, height by width by RGB; None without a render mode.
 
         Raises:
-            RuntimeError: If MuJoCo finds no OpenGL library to draw with.
+            RuntimeError: If MuJoCo finds no OpenGL library to render with.
         """
         if self.render_mode is None:
             return None
@@ -241,7 +242,7 @@ def make_renderer(model: mujoco.MjModel) -> "mujoco.Renderer":  # which may be m
     """Offscreen renderer of a model.
 
     Raises:
-        RuntimeError: If MuJoCo finds no OpenGL library to draw with.
+        RuntimeError: If MuJoCo finds no OpenGL library to render with.
     """
     try:
         return mujoco.Renderer(model, *IMAGE_SIZE)

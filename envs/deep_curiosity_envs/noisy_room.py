@@ -1,4 +1,4 @@
-"""A room with a corner that shows nothing but noise."""
+"""A room with a corner in which two observation channels are noise."""
 
 from functools import partial
 from typing import ClassVar
@@ -22,7 +22,7 @@ KEY, STEP, SWITCHED_ON = range(3)  # in `userdata`
 def split_mix(key: NDArray[np.uint64], index: NDArray[np.uint64]) -> NDArray[np.uint64]:
     """Member `index` of the random bits that `key` seeds, for arrays of one axis or more.
 
-    Being a function of both, it needs no generator that would have to be kept for every world.
+    Being a function of both, it needs no generator to be kept for every environment.
 
     Reference: Steele, Lea and Flood, "Fast Splittable Pseudorandom Number Generators" (2014),
     https://doi.org/10.1145/2714064.2660195; the generator known as SplitMix64.
@@ -34,9 +34,9 @@ def split_mix(key: NDArray[np.uint64], index: NDArray[np.uint64]) -> NDArray[np.
 
 
 class NoisyRoom(PointRoom):
-    """Nothing to gain, and noise to be caught by: a room whose top right corner flickers.
+    """A room without reward, in whose top right corner two observation channels are noise.
 
-    The point starts at rest near the middle. Nothing pays, and no episode is a success. Two
+    The point starts at rest near the middle. There is no reward, and no episode is a success. Two
     channels of the observation are zero, but independent and uniform in [-1, 1) at every step
     that the point is in the corner, three by three cells large; the noise is a function of the
     seed given to `reset` and of the step. Every `info` holds `noisy`, whether the channels now
@@ -78,19 +78,19 @@ class NoisyRoom(PointRoom):
 
     @property
     def noise(self) -> Array64:
-        """What the channels show when they flicker, in [-1, 1), `(*worlds, 2)`."""
+        """Values of the channels when they flicker, in [-1, 1), `(*batch, 2)`."""
         key = self.userdata[..., KEY, None].astype(np.uint64)
         index = NUM_CHANNELS * self.userdata[..., STEP, None] + np.arange(NUM_CHANNELS)
         bits = split_mix(key, index.astype(np.uint64)) >> np.uint64(11)
         return bits.astype(np.float64) * 2.0**-52 - 1.0
 
     def initialize_episode(self) -> None:
-        """Put the point near the middle, and draw the key to the episode's noise."""
+        """Put the point near the middle, and sample the key of the episode's noise."""
         super().initialize_episode()
         self.userdata[KEY] = self.np_random.integers(KEYS)
 
-    def advance(self, control: Array64) -> None:
-        """Count the step, and see where the switch stands."""
+    def after_step(self, control: Array64) -> None:
+        """Count the step, and read the switch."""
         self.userdata[..., STEP] += 1
         if self.switch:
             self.userdata[..., SWITCHED_ON] = control[..., -1] > 0
@@ -101,10 +101,10 @@ class NoisyRoom(PointRoom):
         return np.concatenate((self.scaled_motion, channels), axis=-1)
 
     def get_reward(self) -> Array64:
-        """Nothing."""
+        """Zero."""
         return np.zeros(self.position.shape[:-1])
 
-    def get_info(self) -> dict[str, Array]:
+    def get_task_info(self) -> dict[str, Array]:
         """Whether there is noise, and the cell of the point."""
         return {"noisy": self.noisy, "cell": self.cell}
 

@@ -175,7 +175,7 @@ class PointMaze(MujocoTask):
         """Whether the goal has been reached and ends the episode."""
         return self.goal_terminates & self.is_success()
 
-    def get_info(self) -> dict[str, Array]:
+    def get_task_info(self) -> dict[str, Array]:
         """Index of the cell the point is in."""
         return {"cell": self.cell}
 

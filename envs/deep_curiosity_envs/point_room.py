@@ -1,4 +1,4 @@
-"""A point mass in a square room without inner walls: what the tasks in such a room share."""
+"""A point mass in a square room without inner walls: the base of the tasks in such a room."""
 
 from collections.abc import Sequence
 from typing import Any, ClassVar
@@ -22,8 +22,8 @@ class PointRoom(MujocoTask):
     The room is divided into `num_cells` square cells, numbered in rows from the top left corner.
 
     Args:
-        spec: Of the point and what else the room holds.
-        extra_bound: Largest magnitude of what is observed after position and velocity.
+        spec: Editable model of the point and the room.
+        extra_bound: Largest magnitude of each observation after position and velocity.
         action_cost: Reward lost per step at full action.
         render_mode: `"rgb_array"` or None.
     """
@@ -63,7 +63,7 @@ class PointRoom(MujocoTask):
 
     @property
     def scaled_motion(self) -> Array64:
-        """Position in half rooms and scaled velocity, `(*worlds, 4)`."""
+        """Position in half rooms and scaled velocity, `(*batch, 4)`."""
         return np.concatenate((self.position / HALF_ROOM, self.qvel / SPEED_SCALE), axis=-1)
 
     def initialize_episode(self) -> None:

@@ -16,7 +16,7 @@ SPEED_BOUND = 5.0  # in units of SPEED_SCALE
 
 
 class ReacherSparse(MujocoTask):
-    """Move the fingertip of a planar arm to a target drawn anew each episode, and keep it there.
+    """Move the fingertip of a planar arm to a target sampled in each episode, and keep it there.
 
     The arm starts at rest in a random pose. A step pays one while the fingertip is within 5 cm
     of the target, else nothing. The episode is a success once the fingertip has stayed there
@@ -44,12 +44,12 @@ class ReacherSparse(MujocoTask):
 
     @property
     def target_position(self) -> Array64:
-        """Place of the target in the plane, seen from the shoulder, in m."""
+        """Place of the target in the plane, relative to the shoulder, in m."""
         return self.mocap_pos[..., 0, :2]
 
     @property
     def fingertip_position(self) -> Array64:
-        """Place of the fingertip in the plane, seen from the shoulder, in m."""
+        """Place of the fingertip in the plane, relative to the shoulder, in m."""
         upper_arm = self.qpos[..., 0]
         forearm = upper_arm + self.qpos[..., 1]
         x = self._upper_arm_length * np.cos(upper_arm) + self._forearm_length * np.cos(forearm)
@@ -62,14 +62,14 @@ class ReacherSparse(MujocoTask):
         return self.target_position - self.fingertip_position
 
     def initialize_episode(self) -> None:
-        """Draw the pose of the arm and the place of the target."""
+        """Sample the pose of the arm and the place of the target."""
         self.qpos[:] = self.np_random.uniform(-math.pi, math.pi, size=2)
         direction = self.np_random.uniform(-math.pi, math.pi)
         distance = self.np_random.uniform(*TARGET_DISTANCE)
         self.target_position[:] = distance * np.array([math.cos(direction), math.sin(direction)])
 
     def get_observation(self) -> Array64:
-        """Pose and scaled speed of the arm, target, and what is missing to it."""
+        """Pose and scaled speed of the arm, target, and the vector to it."""
         features = (
             np.cos(self.qpos),
             np.sin(self.qpos),

@@ -1,4 +1,4 @@
-"""What a task pays and when it counts as solved: functions and memory free of the simulator."""
+"""Rewards and success of a task, independent of the simulator."""
 
 import math
 
@@ -29,7 +29,7 @@ def tolerance(
 
     Args:
         value: The measured quantity, of any shape.
-        bounds: Lowest and highest value that earn the full degree, both included.
+        bounds: Lowest and highest value of full degree, both included.
         margin: Distance from the bounds, in units of the value, where `value_at_margin` is left.
         value_at_margin: Degree at one margin from the bounds.
 
@@ -57,25 +57,25 @@ def _check_tolerance(bounds: tuple[float, float], margin: float, value_at_margin
         raise ValueError(f"`value_at_margin` must lie between 0 and 1, got {value_at_margin}.")
 
 
-class Hold:
+class SuccessStreak:
     """Remembers whether a condition has ever lasted a number of steps in a row.
 
     Args:
         num_steps: Steps in a row that the condition has to last.
-        num_worlds: How many conditions are followed side by side; None for a single one, whose
-            arrays have no axis.
+        num_envs: Number of environments, one condition each; None for a single one, whose arrays
+            have no axis.
     """
 
-    def __init__(self, num_steps: int, num_worlds: int | None = None) -> None:
+    def __init__(self, num_steps: int, num_envs: int | None = None) -> None:
         if num_steps < 1:
             raise ValueError(f"`num_steps` must be at least 1, got {num_steps}.")
-        shape = () if num_worlds is None else (num_worlds,)
+        shape = () if num_envs is None else (num_envs,)
         self.num_steps = num_steps
         self.achieved = np.zeros(shape, dtype=bool)
         self._streak = np.zeros(shape, dtype=int)
 
     def reset(self, mask: NDArray[np.bool_] | bool = True) -> None:
-        """Forget everything, as at the start of an episode, in all worlds or where the mask is."""
+        """Forget everything in all environments, or in those of the mask, as an episode starts."""
         self._streak = self._streak * np.logical_not(mask)
         self.achieved = self.achieved & np.logical_not(mask)
 

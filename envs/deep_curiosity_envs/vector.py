@@ -1,4 +1,4 @@
-"""Many worlds of one task, stepped by MuJoCo in a single call."""
+"""Many environments of one task, stepped by MuJoCo in a single call."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -12,32 +12,32 @@ from mujoco.rollout import Rollout
 from deep_curiosity_envs.clock import clock_stopped
 from deep_curiosity_envs.mujoco_task import Array, Array32, Array64, MujocoTask, check_action
 
-STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS  # what `mujoco.rollout` takes and gives back
+STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS  # the input and output of `mujoco.rollout`
 CONTROL = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_MOCAP_POS
 
 
 class MujocoVectorEnv(VectorEnv[Array32, Array32, Array]):
-    """Worlds of one task side by side, each the same as the task alone.
+    """Many environments of one task, each equal to the single environment.
 
-    World `i` of `reset(seed=s)` lives through the episodes of the single environment after
+    Environment `i` after `reset(seed=s)` has the episodes of the single environment after
     `reset(seed=s + i)`, as in Gymnasium's `SyncVectorEnv`. Observations, rewards, ends and infos
     are those of the single environment from the same state and actions; but as every control step
     begins without the forces that held the last one, a body that touches another, or the end of
     its joint, agrees to about 1e-6.
 
     An episode that ends is followed by the next in the same step, its last observation and info
-    in `infos["final_obs"]` and `infos["final_info"]`; or, with autoreset disabled, when it is
-    asked for by `reset(options={"reset_mask": mask})`.
+    in `infos["final_obs"]` and `infos["final_info"]`; or, with autoreset disabled, when
+    requested by `reset(options={"reset_mask": mask})`.
 
     Args:
         task: Class of the task, or another callable that makes one.
-        num_envs: Number of worlds.
+        num_envs: Number of environments.
         max_episode_steps: Control steps after which an episode is truncated; None for never.
         autoreset_mode: Same-step or disabled.
         **env_kwargs: Arguments of the task.
 
     Raises:
-        ValueError: If there is no world, the length is not positive or the mode another one.
+        ValueError: If `num_envs` or the length is not positive, or the mode is next-step.
     """
 
     def __init__(
@@ -67,13 +67,13 @@ class MujocoVectorEnv(VectorEnv[Array32, Array32, Array]):
         self.action_space = batch_space(self.single_action_space, num_envs)
         self._max_episode_steps = np.inf if max_episode_steps is None else max_episode_steps
         self._generators = [np.random.default_rng() for _ in range(num_envs)]
-        self._everywhere = np.ones(num_envs, dtype=bool)
+        self._all_envs = np.ones(num_envs, dtype=bool)
         self._elapsed = np.zeros(num_envs, dtype=int)
         self._rollout = Rollout(nthread=0)
         self._allocate()
 
     def _allocate(self) -> None:
-        """Lay out the arrays that MuJoCo reads and writes, and the worlds as views of them."""
+        """Allocate the arrays that MuJoCo reads and writes, and the batched view of the task."""
         model, num_steps = self._task.model, self._task.num_physics_steps
         state_dim = mujoco.mj_stateSize(model, STATE)
         control_dim = mujoco.mj_stateSize(model, CONTROL)
@@ -81,8 +81,8 @@ class MujocoVectorEnv(VectorEnv[Array32, Array32, Array]):
         self._state = np.zeros((self.num_envs, state_dim))  # time, qpos, qvel
         self._states = np.zeros((self.num_envs, num_steps, state_dim))
         self._control = np.zeros((self.num_envs, num_steps, control_dim))  # ctrl, mocap_pos
-        self._userdata = np.zeros((self.num_envs, model.nuserdata))  # MuJoCo leaves it alone
-        self._worlds = self._task.over(
+        self._userdata = np.zeros((self.num_envs, model.nuserdata))  # MuJoCo does not change it
+        self._batched_task = self._task.batched_view(
             self._state[:, 1 : 1 + model.nq],
             self._state[:, 1 + model.nq : 1 + model.nq + model.nv],
             self._control[:, 0, model.nu :].reshape(self.num_envs, model.nmocap, 3),
@@ -95,25 +95,25 @@ class MujocoVectorEnv(VectorEnv[Array32, Array32, Array]):
         seed: int | Sequence[int | None] | None = None,
         options: dict[str, Any] | None = None,
     ) -> tuple[Array32, dict[str, Any]]:
-        """Start an episode in every world, or in those of `options["reset_mask"]`.
+        """Start an episode in every environment, or in those of `options["reset_mask"]`.
 
         Raises:
-            ValueError: If the number of seeds or the shape of the mask is not that of the worlds.
+            ValueError: If the number of seeds or the shape of the mask does not match `num_envs`.
         """
-        mask = np.asarray((options or {}).get("reset_mask", self._everywhere))
+        mask = np.asarray((options or {}).get("reset_mask", self._all_envs))
         if mask.shape != (self.num_envs,) or mask.dtype != bool:
             raise ValueError(
                 f"`reset_mask` must hold {self.num_envs} booleans, got {mask.dtype} {mask.shape}."
             )
         if seed is None or isinstance(seed, int):
-            seed = [None if seed is None else seed + world for world in range(self.num_envs)]
+            seed = [None if seed is None else seed + index for index in range(self.num_envs)]
         if len(seed) != self.num_envs:
             raise ValueError(f"`seed` must have {self.num_envs} entries, got {len(seed)}.")
-        for world in np.flatnonzero(mask).tolist():
-            self._begin_episode(world, seed[world])
-        self._worlds.hold.reset(mask)
+        for index in np.flatnonzero(mask).tolist():
+            self._begin_episode(index, seed[index])
+        self._batched_task.success_streak.reset(mask)
         self._elapsed[mask] = 0
-        return self._worlds.observe(), _masked(self._worlds.inform(), mask)
+        return self._batched_task.observe(), _masked(self._batched_task.get_info(), mask)
 
     def step(self, actions: Array32) -> tuple[Array32, Array64, Array, Array, dict[str, Any]]:
         """Hold the actions for one control step.
@@ -124,18 +124,18 @@ class MujocoVectorEnv(VectorEnv[Array32, Array32, Array]):
         control = check_action(actions, (self.num_envs, self._task.model.nu))
         self._simulate(control)
         self._elapsed += 1
-        observation, reward, terminated, info = self._worlds.conclude(control)
+        observation, reward, terminated, info = self._batched_task._finish_step(control)
         truncated = self._elapsed >= self._max_episode_steps
-        infos = _masked(info, self._everywhere)
+        infos = _masked(info, self._all_envs)
         done = terminated | truncated
         if done.any() and self._autoreset_mode is AutoresetMode.SAME_STEP:
             final = _final(observation, info, done)
             observation, _ = self.reset(options={"reset_mask": done})
-            infos = _masked(self._worlds.inform(), self._everywhere) | final
+            infos = _masked(self._batched_task.get_info(), self._all_envs) | final
         return observation, reward, terminated, truncated, infos
 
     def close_extras(self, **kwargs: Any) -> None:
-        """Free MuJoCo's side."""
+        """Free the resources of MuJoCo."""
         self._rollout.close()
         self._task.close()
 
@@ -154,28 +154,28 @@ class MujocoVectorEnv(VectorEnv[Array32, Array32, Array]):
             )
         self._state[:] = self._states[:, -1]
 
-    def _begin_episode(self, world: int, seed: int | None) -> None:
-        """Reset the single task with the world's own random stream, and take its state over."""
+    def _begin_episode(self, index: int, seed: int | None) -> None:
+        """Reset the single task with this environment's random stream, and copy its state."""
         task = self._task
-        task.np_random = self._generators[world]
+        task.np_random = self._generators[index]
         task.reset(seed=seed)
-        self._generators[world] = task.np_random
-        mujoco.mj_getState(task.model, task.data, self._state[world], STATE)
-        self._control[world, :, task.model.nu :] = task.mocap_pos.ravel()
-        self._userdata[world] = task.userdata
+        self._generators[index] = task.np_random
+        mujoco.mj_getState(task.model, task.data, self._state[index], STATE)
+        self._control[index, :, task.model.nu :] = task.mocap_pos.ravel()
+        self._userdata[index] = task.userdata
 
 
 def _masked(info: dict[str, Array], mask: Array) -> dict[str, Array]:
-    """Infos as Gymnasium batches them: zero outside the mask, which stands beside every entry."""
+    """Infos as Gymnasium batches them: zero outside the mask, with the mask beside every entry."""
     return {name: value * mask for name, value in info.items()} | {
         f"_{name}": mask.copy() for name in info
     }
 
 
 def _final(observation: Array32, info: dict[str, Array], done: Array) -> dict[str, Any]:
-    """How the episodes that are done have ended."""
+    """Final observations and infos of the episodes that are done."""
     final_obs = np.full(len(done), None, dtype=object)
-    for world in np.flatnonzero(done):
-        final_obs[world] = observation[world]
+    for index in np.flatnonzero(done):
+        final_obs[index] = observation[index]
     final = {"final_obs": final_obs, "final_info": _masked(info, done)}
     return final | {f"_{name}": done.copy() for name in final}

@@ -63,12 +63,12 @@ def test_a_battery_lasts_by_what_is_done_with_it(env, push, num_steps):
 def test_random_pushes_starve():
     env = BatteryRover()
     random = np.random.default_rng(0)
-    lives = []
+    lengths = []
     for seed in range(10):
         env.reset(seed=seed)
-        lives.append(len(run_episode(env, lambda env: random.uniform(-1, 1, 2))[0]))
-    assert np.median(lives) == pytest.approx(150, abs=5)
-    assert max(lives) < EPISODE_STEPS
+        lengths.append(len(run_episode(env, lambda env: random.uniform(-1, 1, 2))[0]))
+    assert np.median(lengths) == pytest.approx(150, abs=5)
+    assert max(lengths) < EPISODE_STEPS
 
 
 def test_a_rover_that_goes_back_in_time_survives_and_is_paid_for_what_it_charges(env):
@@ -122,12 +122,12 @@ def test_the_observation_is_position_velocity_and_energy(env):
     assert env.get_observation() == pytest.approx([0.5, -0.25, 0.1, -1.0, 0.75])
 
 
-def test_every_world_has_a_battery_of_its_own():
-    worlds = gymnasium.make_vec("deep_curiosity/BatteryRover-v0", num_envs=3)
-    worlds.reset(seed=0)
-    worlds._worlds.qpos[1] = CHARGER_POSITION
-    worlds._worlds.userdata[:, 0] = 0.5, 0.5, 0.004
-    _, reward, terminated, _, infos = worlds.step(np.zeros((3, 2)))
+def test_every_env_has_a_battery_of_its_own():
+    envs = gymnasium.make_vec("deep_curiosity/BatteryRover-v0", num_envs=3)
+    envs.reset(seed=0)
+    envs._batched_task.qpos[1] = CHARGER_POSITION
+    envs._batched_task.userdata[:, 0] = 0.5, 0.5, 0.004
+    _, reward, terminated, _, infos = envs.step(np.zeros((3, 2)))
     assert reward.tolist() == [0.0, 1.0, 0.0]
     assert terminated.tolist() == [False, False, True]
     assert infos["final_info"]["starved"].tolist() == [False, False, True]

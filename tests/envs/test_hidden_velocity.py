@@ -49,6 +49,6 @@ def test_two_states_that_differ_in_speed_look_alike(pair):
     assert not np.array_equal(shown.get_observation(), before[1])
 
 
-def test_worlds_side_by_side_hide_it_too():
-    worlds = gymnasium.make_vec("deep_curiosity/CartpoleHiddenVelocity-v0", num_envs=5)
-    assert worlds.reset(seed=0)[0].shape == (5, 3)
+def test_vector_env_hides_it_too():
+    envs = gymnasium.make_vec("deep_curiosity/CartpoleHiddenVelocity-v0", num_envs=5)
+    assert envs.reset(seed=0)[0].shape == (5, 3)

@@ -127,7 +127,7 @@ def test_same_seed_and_actions_give_the_same_bits(task_id):
     first, second = make(task_id), make(task_id)
     actions = random_actions(first, 100)
     second.reset(seed=1)
-    second.step(actions[0])  # what went before must not show
+    second.step(actions[0])  # earlier episodes must not matter
     assert trajectory(first, actions, seed=7) == trajectory(second, actions, seed=7)
 
 
@@ -248,16 +248,16 @@ def test_render_without_opengl_says_what_to_set(task_id, monkeypatch):
 
 @pytest.mark.parametrize("backend", ["egl", "osmesa"])
 @pytest.mark.parametrize("error", ["ImportError", "AttributeError"])
-def test_a_missing_renderer_keeps_no_one_from_training(tmp_path, backend, error):
+def test_training_needs_no_renderer(tmp_path, backend, error):
     library = tmp_path / "OpenGL"
     library.mkdir()
     (library / "__init__.py").write_text(f"raise {error}('no library')")
     result = run_python(WITHOUT_RENDERER.format(str(tmp_path)), backend)
     assert result.returncode == 0, result.stderr
     warning, drawn = result.stdout.splitlines()
-    told = "`MUJOCO_GL` must name an OpenGL library that is installed, got "
+    message = "`MUJOCO_GL` must name an OpenGL library that is installed, got "
     assert warning == (
-        f"{told}'{backend}' (no library): nothing can be drawn." * (error == "AttributeError")
+        f"{message}'{backend}' (no library): nothing can be drawn." * (error == "AttributeError")
     )
     assert drawn.startswith("MuJoCo could not start OpenGL.")
 

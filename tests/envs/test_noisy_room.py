@@ -18,7 +18,7 @@ def env():
 
 
 def stay(env, place, num_steps, seed=0):
-    """What the channels show to a point that rests at a place."""
+    """Values of the channels while the point rests at a place."""
     env.reset(seed=seed)
     env.qpos[:] = place
     idle = np.zeros(env.action_space.shape)
@@ -76,7 +76,7 @@ def test_noise_is_uniform_and_independent_over_steps_channels_and_episodes(env):
         assert correlation == pytest.approx(0, abs=0.06)
 
 
-def test_noise_is_the_same_for_the_same_seed_whatever_was_before(env):
+def test_noise_is_the_same_for_the_same_seed_whatever_came_before(env):
     noise = stay(env, IN_CORNER, 20, seed=5)
     assert np.array_equal(stay(env, IN_CORNER, 20, seed=5), noise)
     assert np.array_equal(stay(NoisyRoom(), IN_CORNER, 20, seed=5), noise)
@@ -88,14 +88,14 @@ def test_looking_twice_shows_the_same_noise(env):
     assert np.array_equal(env.step((0, 0))[0], env.observe())
 
 
-def test_worlds_side_by_side_have_noise_of_their_own():
-    worlds = gymnasium.make_vec("deep_curiosity/NoisyRoom-v0", num_envs=3)
-    worlds.reset(seed=4)
-    worlds._worlds.qpos[:] = IN_CORNER, OUTSIDE, IN_CORNER
-    seen = np.array([worlds.step(np.zeros((3, 2)))[0][:, CHANNELS] for _ in range(20)])
-    assert np.array_equal(seen[:, 0], stay(NoisyRoom(), IN_CORNER, 20, seed=4))
-    assert (seen[:, 1] == 0).all()
-    assert np.array_equal(seen[:, 2], stay(NoisyRoom(), IN_CORNER, 20, seed=6))
+def test_envs_side_by_side_have_noise_of_their_own():
+    envs = gymnasium.make_vec("deep_curiosity/NoisyRoom-v0", num_envs=3)
+    envs.reset(seed=4)
+    envs._batched_task.qpos[:] = IN_CORNER, OUTSIDE, IN_CORNER
+    channels = np.array([envs.step(np.zeros((3, 2)))[0][:, CHANNELS] for _ in range(20)])
+    assert np.array_equal(channels[:, 0], stay(NoisyRoom(), IN_CORNER, 20, seed=4))
+    assert (channels[:, 1] == 0).all()
+    assert np.array_equal(channels[:, 2], stay(NoisyRoom(), IN_CORNER, 20, seed=6))
 
 
 def test_nothing_pays_and_nothing_succeeds(env):
@@ -148,14 +148,14 @@ def test_the_switch_pushes_nothing():
         assert np.array_equal(env.step(action)[0][:4], other.step(action[:2])[0][:4])
 
 
-def test_worlds_side_by_side_have_switches_of_their_own():
-    worlds = gymnasium.make_vec("deep_curiosity/NoisyRoom-v0", num_envs=3, switch=True)
-    worlds.reset(seed=0)
+def test_envs_side_by_side_have_switches_of_their_own():
+    envs = gymnasium.make_vec("deep_curiosity/NoisyRoom-v0", num_envs=3, switch=True)
+    envs.reset(seed=0)
     singles = [NoisyRoom(switch=True) for _ in range(3)]
     for seed, single in enumerate(singles):
         single.reset(seed=seed)
     for action in np.random.default_rng(0).uniform(-1, 1, (30, 3, 3)):
-        observation, *_, infos = worlds.step(action)
+        observation, *_, infos = envs.step(action)
         assert infos["noisy"].tolist() == (action[:, 2] > 0).tolist()
         expected = [single.step(row)[0] for single, row in zip(singles, action, strict=True)]
         assert np.array_equal(observation, expected)

@@ -3,7 +3,7 @@ import math
 import numpy as np
 import pytest
 
-from deep_curiosity_envs.rewards import Hold, tolerance, wrap_angle
+from deep_curiosity_envs.rewards import SuccessStreak, tolerance, wrap_angle
 
 
 @pytest.mark.parametrize(("value", "expected"), [(-1.1, 0), (-1, 1), (0, 1), (1, 1), (1.1, 0)])
@@ -49,34 +49,34 @@ def test_wrapped_angles_are_remainders_of_the_circle():
     assert wrap_angle(angle) == pytest.approx(expected, abs=1e-14)
 
 
-def test_hold_needs_the_steps_in_a_row():
-    hold = Hold(3)
+def test_streak_needs_the_steps_in_a_row():
+    streak = SuccessStreak(3)
     for condition in (True, True, False, True, True):
-        hold.update(condition)
-    assert not hold.achieved
-    hold.update(True)
-    assert hold.achieved
+        streak.update(condition)
+    assert not streak.achieved
+    streak.update(True)
+    assert streak.achieved
 
 
-def test_hold_stays_achieved_until_reset():
-    hold = Hold(1)
-    hold.update(True)
-    hold.update(False)
-    assert hold.achieved
-    hold.reset()
-    assert not hold.achieved
+def test_success_stays_achieved_until_reset():
+    streak = SuccessStreak(1)
+    streak.update(True)
+    streak.update(False)
+    assert streak.achieved
+    streak.reset()
+    assert not streak.achieved
 
 
-def test_hold_follows_worlds_side_by_side():
-    hold = Hold(2, num_worlds=3)
+def test_streaks_of_many_envs_are_independent():
+    streak = SuccessStreak(2, num_envs=3)
     for condition in ([True, True, False], [True, False, False], [False, False, True]):
-        hold.update(np.array(condition))
-    assert hold.achieved.tolist() == [True, False, False]
-    hold.reset(np.array([True, True, False]))
-    hold.update(np.array([True, True, True]))
-    assert hold.achieved.tolist() == [False, False, True]
+        streak.update(np.array(condition))
+    assert streak.achieved.tolist() == [True, False, False]
+    streak.reset(np.array([True, True, False]))
+    streak.update(np.array([True, True, True]))
+    assert streak.achieved.tolist() == [False, False, True]
 
 
-def test_hold_rejects_zero_steps():
+def test_streak_rejects_zero_steps():
     with pytest.raises(ValueError, match="`num_steps` must be at least 1, got 0"):
-        Hold(0)
+        SuccessStreak(0)

@@ -11,7 +11,9 @@ from deep_curiosity_envs.point_maze import cell_centre, find_cell
 
 NUM_ENVS = 4
 NUM_STEPS = 420  # longer than any episode
-CONTACT_TOLERANCE = 1e-5  # of float32 observations, where contact forces are found afresh
+CONTACT_TOLERANCE = (
+    1e-5  # of float32 observations, where contact forces are computed without a warm start
+)
 
 
 @pytest.fixture(params=TASK_IDS)
@@ -32,7 +34,7 @@ def make_reference(task_id, autoreset_mode=AutoresetMode.SAME_STEP, **kwargs):
 
 
 def pushes(environment, num_steps=NUM_STEPS):
-    """Random actions, some worlds pushing one way for long, so that walls are met."""
+    """Random actions, some environments pushing one way for long, so that walls are met."""
     random = np.random.default_rng(0)
     actions = random.uniform(-1.5, 1.5, (num_steps, *environment.action_space.shape))
     actions[:, NUM_ENVS // 2 :] = np.repeat(np.sign(actions[::20, NUM_ENVS // 2 :]), 20, axis=0)
@@ -54,8 +56,8 @@ def assert_same(one, other):
         np.testing.assert_allclose(one, other, rtol=0, atol=CONTACT_TOLERANCE)
 
 
-def place_in_goal(environment, world):
-    environment._worlds.qpos[world] = cell_centre(find_cell("G"))
+def place_in_goal(environment, index):
+    environment._batched_task.qpos[index] = cell_centre(find_cell("G"))
 
 
 @pytest.mark.parametrize("action_cost", [0.0, 0.1])
@@ -77,7 +79,7 @@ def test_without_contact_every_bit_is_that_of_the_single_environment():
     assert np.array_equal(native.reset(seed=3)[0][0], single.reset(seed=3)[0])
     for action in np.random.default_rng(0).uniform(-1, 1, (150, 1, 1)):
         assert np.array_equal(native.step(action)[0][0], single.step(action[0])[0])
-        assert np.array_equal(native._worlds.qpos[0], single.data.qpos)
+        assert np.array_equal(native._batched_task.qpos[0], single.data.qpos)
 
 
 def test_spaces_are_those_of_gymnasium(task_id):
@@ -116,12 +118,12 @@ def test_a_goal_that_ends_the_episode_shows_the_end_and_starts_the_next():
     assert not native.step(np.zeros((NUM_ENVS, 2)))[2].any()
 
 
-def test_success_is_remembered_in_its_own_world_until_the_reset():
+def test_success_is_remembered_in_its_own_env_until_the_reset():
     native = make("deep_curiosity/PointMaze-v0")
     native.reset(seed=0)
     place_in_goal(native, 1)
     native.step(np.zeros((NUM_ENVS, 2)))
-    native._worlds.qpos[1] = cell_centre(find_cell("S"))
+    native._batched_task.qpos[1] = cell_centre(find_cell("S"))
     *_, infos = native.step(np.zeros((NUM_ENVS, 2)))
     assert infos["is_success"].tolist() == [False, True, False, False]
     assert not native.reset()[1]["is_success"].any()
@@ -156,7 +158,7 @@ def test_what_was_returned_stays_as_it_was(task_id):
         assert np.array_equal(array, copy)
 
 
-def test_worlds_do_not_touch_each_other(task_id):
+def test_envs_do_not_touch_each_other(task_id):
     many, few = make(task_id), make(task_id, 2)
     many.reset(seed=0)
     few.reset(seed=0)

@@ -1,7 +1,14 @@
 import numpy as np
 import pytest
 
-from deep_curiosity.tabular.agent import CuriousAgent, FixedPolicy, draw, run
+from deep_curiosity.tabular.agent import CuriousAgent, FixedPolicy, run, sample
+from deep_curiosity.tabular.environments import (
+    FLIP,
+    STAY,
+    FiniteMDP,
+    grid_world,
+    reliable_unreliable,
+)
 from deep_curiosity.tabular.estimators import (
     CountedModel,
     ExactModel,
@@ -19,159 +26,158 @@ from deep_curiosity.tabular.markov import (
 from deep_curiosity.tabular.policies import greedy
 from deep_curiosity.tabular.schedules import decreasing, fixed
 from deep_curiosity.tabular.solvers import solve_stationary
-from deep_curiosity.tabular.worlds import FLIP, STAY, FiniteMDP, grid_world, reliable_unreliable
 
-WORLD = grid_world()
-SHAPE = WORLD.reward.shape
+MDP = grid_world()
+SHAPE = MDP.reward.shape
 COOLING = decreasing(2.0, 0.997, 0.05)
 
 
-def pay(policy, world=WORLD):
+def reward_per_step(policy, mdp=MDP):
     """Reward per step in the long run."""
-    states = stationary_distribution(world.transition, policy, world.start)
-    return float(np.einsum("x,xa,xa->", states, policy, world.reward))
+    states = stationary_distribution(mdp.transition, policy, mdp.start)
+    return float(np.einsum("x,xa,xa->", states, policy, mdp.reward))
 
 
-BEST = pay(greedy(optimal_action_values(WORLD.transition, WORLD.reward, WORLD.discount)))
+BEST = reward_per_step(greedy(optimal_action_values(MDP.transition, MDP.reward, MDP.discount)))
 
 
-def live(agent, num_steps, seed=0, world=WORLD):
-    return run(agent, world, num_steps, np.random.default_rng(seed))
+def run_agent(agent, num_steps, seed=0, mdp=MDP):
+    return run(agent, mdp, num_steps, np.random.default_rng(seed))
 
 
-def exact_agent(world=WORLD, **options):
+def exact_agent(mdp=MDP, **options):
     options = {"temperature": fixed(0.05), "hunger": fixed(20.0)} | options
-    states, values = PropagatedStates(world.start), ExactValues(world.discount)
-    return CuriousAgent(ExactModel(world), states, values, **options)
+    states, values = PropagatedStates(mdp.start), ExactValues(mdp.discount)
+    return CuriousAgent(ExactModel(mdp), states, values, **options)
 
 
 def test_exact_agent_earns_what_the_best_policy_earns():
     agent = exact_agent()
-    live(agent, 30)
-    assert pay(agent.policy) > 0.99 * BEST
+    run_agent(agent, 30)
+    assert reward_per_step(agent.policy) > 0.99 * BEST
 
 
 def test_exact_agent_ends_where_the_stationary_solution_is():
-    world = reliable_unreliable()
-    agent = exact_agent(world, hunger=fixed(0.0), temperature=fixed(0.5), tolerance=1e-7)
-    live(agent, 40, world=world)
-    solution = solve_stationary(world, temperature=0.5)
+    mdp = reliable_unreliable()
+    agent = exact_agent(mdp, hunger=fixed(0.0), temperature=fixed(0.5), tolerance=1e-7)
+    run_agent(agent, 40, mdp=mdp)
+    solution = solve_stationary(mdp, temperature=0.5)
     assert agent.policy[0] == pytest.approx(solution.policy[0], abs=1e-4)
 
 
 def test_agent_without_hunger_ignores_the_reward():
-    rich = FiniteMDP(WORLD.transition, 100 * WORLD.reward, WORLD.start)
+    rich = FiniteMDP(MDP.transition, 100 * MDP.reward, MDP.start)
     policies = []
-    for world in (WORLD, rich):
-        agent = exact_agent(world, hunger=fixed(0.0))
-        live(agent, 5, world=world)
+    for mdp in (MDP, rich):
+        agent = exact_agent(mdp, hunger=fixed(0.0))
+        run_agent(agent, 5, mdp=mdp)
         policies.append(agent.policy)
     np.testing.assert_array_equal(*policies)
 
 
 def test_far_sighted_agent_keeps_to_the_reliable_state():
-    world = reliable_unreliable()
+    mdp = reliable_unreliable()
     agent = exact_agent(
-        world, hunger=fixed(0.0), temperature=fixed(0.5), curiosity_discount=1.0, tolerance=1e-5
+        mdp, hunger=fixed(0.0), temperature=fixed(0.5), curiosity_discount=1.0, tolerance=1e-5
     )
-    live(agent, 40, world=world)
+    run_agent(agent, 40, mdp=mdp)
     assert agent.policy[0, STAY] == pytest.approx(0.75, abs=0.01)
 
 
 def test_far_sighted_agent_may_start_from_one_known_state():
     agent = exact_agent(temperature=fixed(0.5), curiosity_discount=0.9)
-    live(agent, 25)
-    assert pay(agent.policy) > 0.95 * BEST
+    run_agent(agent, 25)
+    assert reward_per_step(agent.policy) > 0.95 * BEST
 
 
 def test_states_from_visits_do_as_well():
     agent = CuriousAgent(
-        ExactModel(WORLD),
+        ExactModel(MDP),
         VisitedStates(SHAPE[0]),
-        ExactValues(WORLD.discount),
+        ExactValues(MDP.discount),
         temperature=fixed(0.05),
         hunger=fixed(20.0),
         max_iterations=20,
     )
-    live(agent, 60)
-    assert pay(agent.policy) > 0.98 * BEST
+    run_agent(agent, 60)
+    assert reward_per_step(agent.policy) > 0.98 * BEST
 
 
 @pytest.mark.parametrize("learning", [Sarsa, QLearning])
 def test_values_from_samples_find_the_goal(learning):
     agent = CuriousAgent(
-        ExactModel(WORLD),
+        ExactModel(MDP),
         VisitedStates(SHAPE[0]),
-        learning(*SHAPE, WORLD.discount),
+        learning(*SHAPE, MDP.discount),
         temperature=COOLING,
         hunger=fixed(5.0),
         period=10,
         max_iterations=5,
     )
-    live(agent, 2_000)
-    assert pay(agent.policy) > 0.85 * BEST
+    run_agent(agent, 2_000)
+    assert reward_per_step(agent.policy) > 0.85 * BEST
 
 
 def test_incremental_model_finds_the_goal_with_nothing_known():
     agent = CuriousAgent(
         CountedModel(*SHAPE),
         VisitedStates(SHAPE[0]),
-        ExactValues(WORLD.discount),
+        ExactValues(MDP.discount),
         temperature=COOLING,
         hunger=fixed(5.0),
         period=10,
         max_iterations=10,
     )
-    live(agent, 1_000, seed=1)
-    assert pay(agent.policy) > 0.9 * BEST
+    run_agent(agent, 1_000, seed=1)
+    assert reward_per_step(agent.policy) > 0.9 * BEST
 
 
 def test_everything_from_samples_finds_the_goal():
     agent = CuriousAgent(
         CountedModel(*SHAPE),
         VisitedStates(SHAPE[0]),
-        Sarsa(*SHAPE, WORLD.discount),
+        Sarsa(*SHAPE, MDP.discount),
         temperature=COOLING,
         hunger=fixed(5.0),
         period=10,
         max_iterations=5,
     )
-    live(agent, 2_000)
-    assert pay(agent.policy) > 0.85 * BEST
+    run_agent(agent, 2_000)
+    assert reward_per_step(agent.policy) > 0.85 * BEST
 
 
 def test_batch_of_samples_approaches_the_exact_policy_as_it_grows():
-    exact = solve_stationary(WORLD, temperature=0.5, hunger=5.0, tolerance=1e-6).policy
+    exact = solve_stationary(MDP, temperature=0.5, hunger=5.0, tolerance=1e-6).policy
     errors = []
     for num_steps in (500, 20_000):
         model = CountedModel(*SHAPE)
-        for experience in live(FixedPolicy(np.full(SHAPE, 0.25)), num_steps):
+        for experience in run_agent(FixedPolicy(np.full(SHAPE, 0.25)), num_steps):
             model.observe(experience)
-        learned = FiniteMDP(model.transition, model.reward, WORLD.start, WORLD.discount)
+        learned = FiniteMDP(model.transition, model.reward, MDP.start, MDP.discount)
         policy = solve_stationary(learned, temperature=0.5, hunger=5.0, tolerance=1e-6).policy
         errors.append(np.abs(policy - exact).mean())
     assert errors[1] < 0.05 and errors[1] < 0.4 * errors[0]
-    assert pay(policy) > 0.98 * pay(exact)
+    assert reward_per_step(policy) > 0.98 * reward_per_step(exact)
 
 
-def test_planning_at_the_present_state_changes_no_other():
+def test_planning_at_the_current_state_changes_no_other():
     agent = exact_agent(only_current_state=True)
     agent.plan(0)
     np.testing.assert_allclose(agent.policy[1:], 0.25, atol=1e-12)
     assert agent.policy[0].max() > 0.3
 
 
-def test_planning_at_the_present_state_finds_the_goal():
+def test_planning_at_the_current_state_finds_the_goal():
     agent = exact_agent(only_current_state=True, max_iterations=10)
-    live(agent, 200)
-    assert pay(agent.policy) > 0.9 * BEST
+    run_agent(agent, 200)
+    assert reward_per_step(agent.policy) > 0.9 * BEST
 
 
 def test_plan_holds_for_its_period():
     agent, rng = exact_agent(period=3), np.random.default_rng(0)
     policies = []
     for _ in range(4):
-        live(agent, 1)
+        run_agent(agent, 1)
         policies.append(agent.policy)
     np.testing.assert_array_equal(policies[0], policies[2])
     assert not np.array_equal(policies[2], policies[3])
@@ -180,59 +186,59 @@ def test_plan_holds_for_its_period():
 
 def test_annealing_at_every_step_ends_nearly_deterministic():
     agent = exact_agent(temperature=fixed(0.01), annealing=(16.0, 4.0, 1.0))
-    live(agent, 10)
-    assert pay(agent.policy) > 0.99 * BEST
-    value = action_values(WORLD.transition, WORLD.reward, agent.policy, WORLD.discount)
+    run_agent(agent, 10)
+    assert reward_per_step(agent.policy) > 0.99 * BEST
+    value = action_values(MDP.transition, MDP.reward, agent.policy, MDP.discount)
     shortfall = 20 * (value.max(1, keepdims=True) - value)
-    assert np.max(agent.policy * shortfall) < 0.5  # nothing that costs much is still done
+    assert np.max(agent.policy * shortfall) < 0.5  # no action far below the best remains likely
 
 
 def test_falling_temperature_goes_from_indifferent_to_best_and_stops_at_its_least():
     agent = exact_agent(temperature=decreasing(50.0, 0.5, 0.05))
-    live(agent, 1)
-    assert pay(agent.policy) < 0.6 * BEST
-    live(agent, 20)
-    assert pay(agent.policy) > 0.99 * BEST
+    run_agent(agent, 1)
+    assert reward_per_step(agent.policy) < 0.6 * BEST
+    run_agent(agent, 20)
+    assert reward_per_step(agent.policy) > 0.99 * BEST
     assert agent.temperature(agent.step) == 0.05
 
 
 def test_scheduled_hunger_turns_curiosity_into_earning():
     agent = exact_agent(hunger=lambda step: 0.0 if step < 10 else 20.0)
-    live(agent, 10)
-    curious = pay(agent.policy)
-    live(agent, 20)
-    assert curious < 0.6 * BEST and pay(agent.policy) > 0.99 * BEST
+    run_agent(agent, 10)
+    curious = reward_per_step(agent.policy)
+    run_agent(agent, 20)
+    assert curious < 0.6 * BEST and reward_per_step(agent.policy) > 0.99 * BEST
 
 
 def test_hunger_may_depend_on_the_state():
     hungry = np.where(np.arange(SHAPE[0]) < 8, 0.0, 20.0)
     agent = exact_agent(hunger=fixed(hungry))
-    live(agent, 30)
-    value = action_values(WORLD.transition, WORLD.reward, agent.policy, WORLD.discount)
+    run_agent(agent, 30)
+    value = action_values(MDP.transition, MDP.reward, agent.policy, MDP.discount)
     gain = (agent.policy * value).sum(1) - value.mean(1)
-    assert gain[8:15].min() > 0 and 0.6 * BEST < pay(agent.policy) < 0.95 * BEST
+    assert gain[8:15].min() > 0 and 0.6 * BEST < reward_per_step(agent.policy) < 0.95 * BEST
 
 
-def test_draws_follow_the_probabilities():
+def test_samples_follow_the_probabilities():
     rng = np.random.default_rng(0)
-    counts = np.bincount([draw(np.array([0.2, 0.0, 0.8]), rng) for _ in range(5_000)])
+    counts = np.bincount([sample(np.array([0.2, 0.0, 0.8]), rng) for _ in range(5_000)])
     assert counts[1] == 0 and counts[0] / 5_000 == pytest.approx(0.2, abs=0.02)
 
 
-def test_same_seed_lives_the_same_life():
-    first, second = (live(FixedPolicy(np.full(SHAPE, 0.25)), 50, seed=3) for _ in range(2))
+def test_same_seed_gives_the_same_transitions():
+    first, second = (run_agent(FixedPolicy(np.full(SHAPE, 0.25)), 50, seed=3) for _ in range(2))
     assert first == second
     assert first[0].state == 0 and first[1].state == first[0].next_state
 
 
 def test_unreliable_state_is_left_to_chance():
-    world = reliable_unreliable()
-    history = live(FixedPolicy(np.eye(2)[[FLIP, FLIP]]), 2_000, world=world)
+    mdp = reliable_unreliable()
+    history = run_agent(FixedPolicy(np.eye(2)[[FLIP, FLIP]]), 2_000, mdp=mdp)
     left = [step.next_state for step in history if step.state == 1]
     assert np.mean(left) == pytest.approx(0.5, abs=0.05)
     assert all(step.next_state == 1 for step in history if step.state == 0)
 
 
-def test_period_of_zero_is_turned_away():
+def test_period_of_zero_is_rejected():
     with pytest.raises(ValueError, match="`period` must be at least 1, got 0"):
         exact_agent(period=0)

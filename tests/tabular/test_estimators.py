@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from deep_curiosity.tabular.agent import FixedPolicy, run
+from deep_curiosity.tabular.environments import random_mdp
 from deep_curiosity.tabular.estimators import (
     CountedModel,
     ExactModel,
@@ -18,21 +19,20 @@ from deep_curiosity.tabular.markov import (
     optimal_action_values,
     stationary_distribution,
 )
-from deep_curiosity.tabular.worlds import random_mdp
 
-WORLD = random_mdp(4, 2, np.random.default_rng(0), discount=0.5)
+MDP = random_mdp(4, 2, np.random.default_rng(0), discount=0.5)
 POLICY = np.full((4, 2), 0.5)
 STEP = Experience(state=1, action=0, reward=2.0, next_state=3)
 
 
-def live(num_steps, seed=0):
-    return run(FixedPolicy(POLICY), WORLD, num_steps, np.random.default_rng(seed))
+def run_policy(num_steps, seed=0):
+    return run(FixedPolicy(POLICY), MDP, num_steps, np.random.default_rng(seed))
 
 
-def test_exact_model_is_the_world():
-    model = ExactModel(WORLD)
+def test_exact_model_is_the_mdp():
+    model = ExactModel(MDP)
     model.observe(STEP)
-    assert model.transition is WORLD.transition and model.reward is WORLD.reward
+    assert model.transition is MDP.transition and model.reward is MDP.reward
 
 
 def test_counted_model_by_hand():
@@ -48,23 +48,23 @@ def test_counted_model_by_hand():
 def test_visited_states_by_hand():
     states = VisitedStates(4)
     np.testing.assert_allclose(states.distribution, 0.25)
-    states.observe(STEP, WORLD.transition, POLICY)
+    states.observe(STEP, MDP.transition, POLICY)
     np.testing.assert_allclose(states.distribution, [0.125, 0.625, 0.125, 0.125])
 
 
-def test_propagated_states_follow_the_policy_and_not_what_was_seen():
-    states = PropagatedStates(WORLD.start)
+def test_propagated_states_follow_the_policy_and_not_the_experience():
+    states = PropagatedStates(MDP.start)
     for _ in range(100):
-        states.observe(STEP, WORLD.transition, POLICY)
-    limit = stationary_distribution(WORLD.transition, POLICY, WORLD.start)
+        states.observe(STEP, MDP.transition, POLICY)
+    limit = stationary_distribution(MDP.transition, POLICY, MDP.start)
     np.testing.assert_allclose(states.distribution, limit, atol=1e-12)
 
 
 def test_exact_values_solve_the_model():
     values = ExactValues(0.5)
     values.observe(STEP)
-    exact = action_values(WORLD.transition, WORLD.reward, POLICY, 0.5)
-    np.testing.assert_array_equal(values.estimate(ExactModel(WORLD), POLICY), exact)
+    exact = action_values(MDP.transition, MDP.reward, POLICY, 0.5)
+    np.testing.assert_array_equal(values.estimate(ExactModel(MDP), POLICY), exact)
 
 
 def test_sarsa_learns_a_step_when_the_next_action_is_known():
@@ -92,28 +92,28 @@ def test_second_visit_counts_less_than_the_first():
 
 def test_sarsa_approaches_the_policy_and_q_learning_the_best():
     sarsa, q_learning = Sarsa(4, 2, 0.5), QLearning(4, 2, 0.5)
-    for experience in live(10_000):
+    for experience in run_policy(10_000):
         sarsa.observe(experience)
         q_learning.observe(experience)
-    of_policy = action_values(WORLD.transition, WORLD.reward, POLICY, 0.5)
-    of_best = optimal_action_values(WORLD.transition, WORLD.reward, 0.5)
-    spread = np.abs(of_best - of_policy).max()
-    assert np.abs(sarsa.action_value - of_policy).max() < 0.15 * spread
-    assert np.abs(q_learning.action_value - of_best).max() < 0.15 * spread
+    of_policy = action_values(MDP.transition, MDP.reward, POLICY, 0.5)
+    of_best = optimal_action_values(MDP.transition, MDP.reward, 0.5)
+    difference = np.abs(of_best - of_policy).max()
+    assert np.abs(sarsa.action_value - of_policy).max() < 0.15 * difference
+    assert np.abs(q_learning.action_value - of_best).max() < 0.15 * difference
 
 
 def test_errors_of_model_and_visits_fall_with_the_root_of_the_samples():
     """Two decades of samples: a slope of -1/2 in the root of the divergence, within a quarter."""
     sizes = [100, 1_000, 10_000]
-    exact = stationary_distribution(WORLD.transition, POLICY, WORLD.start)
+    exact = stationary_distribution(MDP.transition, POLICY, MDP.start)
     model_error, state_error = np.zeros((2, 3, 3))
     for seed in range(3):
-        model, states, history = CountedModel(4, 2), VisitedStates(4), live(sizes[-1], seed)
+        model, states, history = CountedModel(4, 2), VisitedStates(4), run_policy(sizes[-1], seed)
         for step, experience in enumerate(history, start=1):
             model.observe(experience)
             states.visits[experience.state] += 1
             if step in sizes:
-                divergence = kl_divergence(WORLD.transition, safe_log(model.transition))
+                divergence = kl_divergence(MDP.transition, safe_log(model.transition))
                 model_error[seed, sizes.index(step)] = divergence.mean()
                 distance = kl_divergence(exact, safe_log(states.distribution))
                 state_error[seed, sizes.index(step)] = distance
@@ -122,7 +122,7 @@ def test_errors_of_model_and_visits_fall_with_the_root_of_the_samples():
         assert slope == pytest.approx(-0.5, abs=0.125)
 
 
-def test_bad_parameters_are_turned_away():
+def test_bad_parameters_are_rejected():
     with pytest.raises(ValueError, match="`pseudo_count` must be positive"):
         CountedModel(2, 2, pseudo_count=0.0)
     with pytest.raises(ValueError, match="`num_states` must be at least 1"):

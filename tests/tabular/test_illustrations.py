@@ -3,7 +3,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from deep_curiosity.tabular.worlds import FLIP, STAY, clever_random, reliable_unreliable
+from deep_curiosity.tabular.environments import FLIP, STAY, clever_random, reliable_unreliable
 from deep_curiosity_envs import ILLUSTRATION_IDS
 from deep_curiosity_envs.illustrations import CleverRandom, ReliableUnreliable
 
@@ -48,15 +48,15 @@ def test_clever_random_moves_as_its_table_says(state, action, index):
 @pytest.mark.parametrize("action", [STAY, FLIP])
 def test_reliable_and_unreliable_move_as_their_table_says(state, action):
     expected = reliable_unreliable().transition[state, action, 1]
-    seen = frequency(ReliableUnreliable(), state, float(action))
-    assert seen == pytest.approx(expected, abs=0.03)
+    measured = frequency(ReliableUnreliable(), state, float(action))
+    assert measured == pytest.approx(expected, abs=0.03)
 
 
 def test_same_seed_starts_and_flips_alike():
-    lives = []
+    trajectories = []
     for _ in range(2):
         env = CleverRandom()
-        life = [env.reset(seed=7)[0][0]]
-        life += [env.step(np.array([0.5], np.float32))[0][0] for _ in range(20)]
-        lives.append(life)
-    assert lives[0] == lives[1]
+        observations = [env.reset(seed=7)[0][0]]
+        observations += [env.step(np.array([0.5], np.float32))[0][0] for _ in range(20)]
+        trajectories.append(observations)
+    assert trajectories[0] == trajectories[1]

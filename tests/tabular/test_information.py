@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from deep_curiosity.tabular.environments import FLIP, STAY, random_mdp, reliable_unreliable
 from deep_curiosity.tabular.information import (
     action_information,
     curiosity,
@@ -16,7 +17,6 @@ from deep_curiosity.tabular.information import (
     to_nats,
 )
 from deep_curiosity.tabular.policies import random_log_policy
-from deep_curiosity.tabular.worlds import FLIP, STAY, random_mdp, reliable_unreliable
 
 
 def test_bits_and_nats_are_inverse():
@@ -68,36 +68,36 @@ def test_constant_policy_tells_nothing_about_the_state():
 
 def test_predictive_information_is_the_mean_divergence():
     rng = np.random.default_rng(2)
-    world, log_policy = random_mdp(4, 3, rng), random_log_policy(4, 3, rng)
+    mdp, log_policy = random_mdp(4, 3, rng), random_log_policy(4, 3, rng)
     states = rng.dirichlet(np.ones(4))
-    log_marginal = log_next_state_marginal(world.transition, log_policy, states)
-    divergence = curiosity(world.transition, log_marginal)
+    log_marginal = log_next_state_marginal(mdp.transition, log_policy, states)
+    divergence = curiosity(mdp.transition, log_marginal)
     mean = np.einsum("x,xa,xa->", states, np.exp(log_policy), divergence)
-    whole = predictive_information(world.transition, np.exp(log_policy), states)
+    whole = predictive_information(mdp.transition, np.exp(log_policy), states)
     assert whole == pytest.approx(mean, abs=1e-14)
 
 
 def test_state_alone_predicts_less_than_state_and_action():
     rng = np.random.default_rng(3)
-    world, policy = random_mdp(4, 3, rng), np.exp(random_log_policy(4, 3, rng))
+    mdp, policy = random_mdp(4, 3, rng), np.exp(random_log_policy(4, 3, rng))
     states = rng.dirichlet(np.ones(4))
-    alone = state_predictive_information(world.transition, policy, states)
-    assert 0 < alone < predictive_information(world.transition, policy, states)
+    alone = state_predictive_information(mdp.transition, policy, states)
+    assert 0 < alone < predictive_information(mdp.transition, policy, states)
 
 
 def test_marginals_are_the_sums_of_the_paper():
     rng = np.random.default_rng(4)
-    world, log_policy = random_mdp(3, 2, rng), random_log_policy(3, 2, rng)
+    mdp, log_policy = random_mdp(3, 2, rng), random_log_policy(3, 2, rng)
     states, policy = rng.dirichlet(np.ones(3)), np.exp(log_policy)
     by_hand = sum(
-        states[x] * policy[x, a] * world.transition[x, a] for x in range(3) for a in range(2)
+        states[x] * policy[x, a] * mdp.transition[x, a] for x in range(3) for a in range(2)
     )
-    log_marginal = log_next_state_marginal(world.transition, log_policy, states)
+    log_marginal = log_next_state_marginal(mdp.transition, log_policy, states)
     np.testing.assert_allclose(np.exp(log_marginal), by_hand)
     np.testing.assert_allclose(np.exp(log_action_marginal(log_policy, states)), states @ policy)
 
 
-def test_divergence_in_the_unreliable_world_by_hand():
+def test_divergence_in_the_second_illustration_by_hand():
     marginal = np.array([0.75, 0.25])
     divergence = curiosity(reliable_unreliable().transition, np.log(marginal))
     assert divergence[0, STAY] == pytest.approx(np.log(4 / 3))

@@ -38,7 +38,7 @@ def test_safe_damping_is_small_when_information_is_cheap():
     assert safe_damping(0.01) == pytest.approx(0.01 / 1.01)
 
 
-def test_iteration_settles_and_traces_every_policy():
+def test_iteration_converges_and_traces_every_policy():
     solution = iterate(towards(LEFT), HALF, damping=0.5)
     assert solution.converged and solution.cycle_length is None
     np.testing.assert_allclose(solution.policy, [[0.8, 0.2]], atol=1e-9)
@@ -54,23 +54,23 @@ def test_cycle_is_detected_with_its_length(cycle):
     assert len(solution.objective) < 10
 
 
-def test_iteration_that_runs_out_has_neither_settled_nor_cycled():
+def test_iteration_that_runs_out_has_neither_converged_nor_cycled():
     solution = iterate(towards(LEFT), HALF, damping=0.01, max_iterations=3)
     assert not solution.converged and solution.cycle_length is None
     assert solution.objective.shape == (4,)
 
 
-def test_halving_calms_an_overshoot():
+def test_halving_stops_an_overshoot():
     def overshoot(log_policy):
         return normalize_log(log_policy + 2.2 * (MIDDLE - log_policy)), 0.0
 
     assert not iterate(overshoot, HALF, damping=1.0, max_iterations=200).converged
-    calmed = iterate(overshoot, HALF, damping=1.0, halving=True, max_iterations=200)
-    assert calmed.converged
-    np.testing.assert_allclose(calmed.policy, np.exp(MIDDLE), atol=1e-9)
+    halved = iterate(overshoot, HALF, damping=1.0, halving=True, max_iterations=200)
+    assert halved.converged
+    np.testing.assert_allclose(halved.policy, np.exp(MIDDLE), atol=1e-9)
 
 
-def test_bad_parameters_are_turned_away():
+def test_bad_parameters_are_rejected():
     with pytest.raises(ValueError, match="`damping` must lie in"):
         iterate(towards(LEFT), HALF, damping=0.0)
     with pytest.raises(ValueError, match="`tolerance` must be positive"):

@@ -3,6 +3,7 @@ import itertools
 import numpy as np
 import pytest
 
+from deep_curiosity.tabular.environments import STAY, random_mdp, reliable_unreliable
 from deep_curiosity.tabular.markov import (
     action_values,
     expected_return,
@@ -13,35 +14,34 @@ from deep_curiosity.tabular.markov import (
     stationary_distribution,
 )
 from deep_curiosity.tabular.policies import random_log_policy
-from deep_curiosity.tabular.worlds import STAY, random_mdp, reliable_unreliable
 
 
-def draw_world_and_policy(seed=0):
+def sample_mdp_and_policy(seed=0):
     rng = np.random.default_rng(seed)
     return random_mdp(4, 3, rng), np.exp(random_log_policy(4, 3, rng))
 
 
 def test_stationary_distribution_by_hand():
-    world = reliable_unreliable()
+    mdp = reliable_unreliable()
     policy = np.array([[0.75, 0.25], [0.5, 0.5]])
-    states = stationary_distribution(world.transition, policy, world.start)
+    states = stationary_distribution(mdp.transition, policy, mdp.start)
     np.testing.assert_allclose(states, [2 / 3, 1 / 3])
 
 
 def test_stationary_distribution_is_the_leading_eigenvector():
-    world, policy = draw_world_and_policy()
-    values, vectors = np.linalg.eig(state_chain(world.transition, policy).T)
+    mdp, policy = sample_mdp_and_policy()
+    values, vectors = np.linalg.eig(state_chain(mdp.transition, policy).T)
     leading = vectors[:, np.argmax(values.real)].real
-    states = stationary_distribution(world.transition, policy, world.start)
+    states = stationary_distribution(mdp.transition, policy, mdp.start)
     np.testing.assert_allclose(states, leading / leading.sum(), atol=1e-14)
 
 
 def test_stationary_distribution_is_where_propagation_leads():
-    world, policy = draw_world_and_policy()
-    states = world.start
+    mdp, policy = sample_mdp_and_policy()
+    states = mdp.start
     for _ in range(200):
-        states = propagate(states, world.transition, policy)
-    limit = stationary_distribution(world.transition, policy, world.start)
+        states = propagate(states, mdp.transition, policy)
+    limit = stationary_distribution(mdp.transition, policy, mdp.start)
     np.testing.assert_allclose(states, limit, atol=1e-14)
 
 
@@ -52,12 +52,12 @@ def test_period_and_closed_classes_need_no_special_case():
 
 
 def test_start_decides_between_closed_classes():
-    world = reliable_unreliable()
+    mdp = reliable_unreliable()
     stays = np.tile(np.eye(2)[STAY], (2, 1))
     holds = np.stack([np.eye(2)] * 2, axis=1)
     start = np.array([0.3, 0.7])
     np.testing.assert_allclose(stationary_distribution(holds, stays, start), start)
-    limit = stationary_distribution(world.transition, stays, start)
+    limit = stationary_distribution(mdp.transition, stays, start)
     np.testing.assert_allclose(limit, [1, 0], atol=1e-12)
 
 
@@ -68,20 +68,20 @@ def test_slow_chain_reaches_its_own_limit():
 
 
 def test_action_values_are_the_discounted_sum_of_rewards():
-    world, policy = draw_world_and_policy()
-    chain, summed = state_chain(world.transition, policy), np.zeros(4)
-    mean_reward = np.einsum("xa,xa->x", policy, world.reward)
+    mdp, policy = sample_mdp_and_policy()
+    chain, summed = state_chain(mdp.transition, policy), np.zeros(4)
+    mean_reward = np.einsum("xa,xa->x", policy, mdp.reward)
     for step in range(400):
         summed += 0.9**step * np.linalg.matrix_power(chain, step) @ mean_reward
-    by_sum = world.reward + 0.9 * world.transition @ summed
-    solved = action_values(world.transition, world.reward, policy, 0.9)
+    by_sum = mdp.reward + 0.9 * mdp.transition @ summed
+    solved = action_values(mdp.transition, mdp.reward, policy, 0.9)
     np.testing.assert_allclose(solved, by_sum, atol=1e-12)
 
 
 def test_without_discount_values_are_rewards():
-    world, policy = draw_world_and_policy()
-    solved = action_values(world.transition, world.reward, policy, 0.0)
-    np.testing.assert_array_equal(solved, world.reward)
+    mdp, policy = sample_mdp_and_policy()
+    solved = action_values(mdp.transition, mdp.reward, policy, 0.0)
+    np.testing.assert_array_equal(solved, mdp.reward)
 
 
 def test_expected_return_weighs_states_and_actions():
@@ -90,16 +90,16 @@ def test_expected_return_weighs_states_and_actions():
 
 
 def test_value_iteration_finds_the_best_deterministic_policy():
-    world = random_mdp(3, 2, np.random.default_rng(5))
+    mdp = random_mdp(3, 2, np.random.default_rng(5))
     policies = (np.eye(2)[list(choice)] for choice in itertools.product((0, 1), repeat=3))
     best = np.max(
-        [action_values(world.transition, world.reward, policy, 0.9) for policy in policies], axis=0
+        [action_values(mdp.transition, mdp.reward, policy, 0.9) for policy in policies], axis=0
     )
-    optimal = optimal_action_values(world.transition, world.reward, 0.9)
+    optimal = optimal_action_values(mdp.transition, mdp.reward, 0.9)
     np.testing.assert_allclose(optimal, best, atol=1e-9)
 
 
-def test_discount_of_one_is_turned_away():
-    world, policy = draw_world_and_policy()
+def test_discount_of_one_is_rejected():
+    mdp, policy = sample_mdp_and_policy()
     with pytest.raises(ValueError, match="`discount` must lie in"):
-        action_values(world.transition, world.reward, policy, 1.0)
+        action_values(mdp.transition, mdp.reward, policy, 1.0)

@@ -56,7 +56,7 @@ def test_ties_go_by_the_prior_at_any_temperature_but_equally_in_the_limit():
     np.testing.assert_array_equal(greedy(SCORE), [[0, 0.5, 0.5], [1, 0, 0]])
 
 
-def test_infinite_score_wins_outright():
+def test_infinite_score_takes_all_probability():
     score = np.array([[np.inf, 1.0, np.inf], [0.0, 0.0, 0.0]])
     prior = np.array([0.1, 0.6, 0.3])
     policy = np.exp(information_limited(np.log(prior), score, 0.5))
@@ -73,7 +73,7 @@ def test_epsilon_is_shared_by_all_actions():
     np.testing.assert_allclose(epsilon_greedy(SCORE, 0.3)[1], [0.8, 0.1, 0.1])
 
 
-def test_bad_parameters_are_turned_away():
+def test_bad_parameters_are_rejected():
     with pytest.raises(ValueError, match="`temperature` must be positive"):
         boltzmann(SCORE, 0.0)
     with pytest.raises(ValueError, match="`temperature` must be positive"):

@@ -9,7 +9,7 @@ from deep_curiosity.tabular.rate_return import (
 )
 
 
-def draw_problem(seed=0, num_states=5, num_actions=4):
+def sample_problem(seed=0, num_states=5, num_actions=4):
     rng = np.random.default_rng(seed)
     return rng.normal(size=(num_states, num_actions)), rng.dirichlet(np.ones(num_states))
 
@@ -27,7 +27,7 @@ def blahut_arimoto(distortion, source, slope, num_iterations=20_000):
 @pytest.mark.parametrize("seed", [0, 1, 2])
 @pytest.mark.parametrize("temperature", [0.2, 0.7])
 def test_policy_is_that_of_blahut_and_arimoto(seed, temperature):
-    action_value, states = draw_problem(seed)
+    action_value, states = sample_problem(seed)
     policy = solve_rate_limited(action_value, states, temperature).policy
     channel, output = blahut_arimoto(-action_value, states, 1 / temperature)
     np.testing.assert_allclose(policy, channel, atol=1e-8)
@@ -35,9 +35,9 @@ def test_policy_is_that_of_blahut_and_arimoto(seed, temperature):
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
-def test_no_other_action_marginal_would_pay(seed):
+def test_no_other_action_marginal_is_better(seed):
     """Kuhn-Tucker: sum_x p(x) exp(Q / lambda) / Z(x) is one if an action is used, else less."""
-    action_value, states = draw_problem(seed)
+    action_value, states = sample_problem(seed)
     policy = solve_rate_limited(action_value, states, 0.5).policy
     weight = np.exp(action_value / 0.5)
     worth = states @ (weight / (weight @ (states @ policy))[:, None])
@@ -46,7 +46,7 @@ def test_no_other_action_marginal_would_pay(seed):
 
 
 def test_objective_only_rises_and_no_other_policy_beats_its_end():
-    action_value, states = draw_problem(3)
+    action_value, states = sample_problem(3)
     solution = solve_rate_limited(action_value, states, 0.4)
     assert solution.converged and (np.diff(solution.objective) > -1e-13).all()
     rng = np.random.default_rng(4)
@@ -58,7 +58,7 @@ def test_objective_only_rises_and_no_other_policy_beats_its_end():
 
 
 def test_curve_rises_is_concave_and_its_slope_is_the_temperature():
-    action_value, states = draw_problem(5)
+    action_value, states = sample_problem(5)
     temperatures = np.geomspace(0.3, 0.1, 41)
     curve = rate_return_curve(action_value, states, temperatures)
     rate, value = np.array([(point.rate, point.value) for point in curve]).T
@@ -69,7 +69,7 @@ def test_curve_rises_is_concave_and_its_slope_is_the_temperature():
 
 
 def test_cold_policy_is_greedy():
-    action_value, states = draw_problem(6)
+    action_value, states = sample_problem(6)
     policy = solve_rate_limited(action_value, states, 1e-3).policy
     np.testing.assert_allclose(policy, greedy(action_value), atol=1e-9)
 
@@ -83,7 +83,7 @@ def test_cold_ties_go_to_the_action_that_other_states_use():
 
 @pytest.mark.parametrize("rate", [0.1, 0.3])
 def test_dual_meets_its_rate_and_no_policy_of_that_rate_returns_more(rate):
-    action_value, states = draw_problem(4)
+    action_value, states = sample_problem(4)
     point = largest_return(action_value, states, rate)
     assert point.rate <= rate and point.rate == pytest.approx(rate, abs=2e-6)
     for other in rate_return_curve(action_value, states, [0.05, 0.2, 1.0]):
@@ -91,25 +91,25 @@ def test_dual_meets_its_rate_and_no_policy_of_that_rate_returns_more(rate):
         assert other.value <= tangent + 1e-9
 
 
-def test_dual_of_a_deaf_agent_is_its_best_constant_action():
-    action_value, states = draw_problem(8)
+def test_dual_at_rate_zero_is_its_best_constant_action():
+    action_value, states = sample_problem(8)
     point = largest_return(action_value, states, 0.0)
     assert point.rate == pytest.approx(0)
     assert point.value == pytest.approx((states @ action_value).max())
 
 
-def test_dual_of_a_free_agent_is_greedy():
-    action_value, states = draw_problem(9)
+def test_dual_at_a_free_rate_is_greedy():
+    action_value, states = sample_problem(9)
     point = largest_return(action_value, states, 10.0)
     assert point.value == pytest.approx(states @ action_value.max(1))
 
 
-def test_dual_without_stakes_tells_nothing():
+def test_dual_of_equal_values_has_rate_zero():
     assert largest_return(np.ones((2, 3)), np.array([0.5, 0.5]), 1.0).rate == 0
 
 
-def test_bad_arguments_are_turned_away():
-    action_value, states = draw_problem()
+def test_bad_arguments_are_rejected():
+    action_value, states = sample_problem()
     with pytest.raises(ValueError, match="`rate` must lie in"):
         largest_return(action_value, states, -0.1)
     with pytest.raises(ValueError, match="`action_value` must be finite"):

@@ -18,7 +18,7 @@ def test_decreasing_approaches_zero_when_nothing_holds_it():
     assert decreasing(1.0, 0.9)(200) < 1e-9
 
 
-def test_bad_parameters_are_turned_away():
+def test_bad_parameters_are_rejected():
     with pytest.raises(ValueError, match="`first` must be positive"):
         decreasing(0.0, 0.5)
     with pytest.raises(ValueError, match="`factor` must lie in"):

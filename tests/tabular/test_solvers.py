@@ -1,6 +1,14 @@
 import numpy as np
 import pytest
 
+from deep_curiosity.tabular.environments import (
+    FLIP,
+    STAY,
+    clever_random,
+    grid_world,
+    random_mdp,
+    reliable_unreliable,
+)
 from deep_curiosity.tabular.information import (
     log_next_state_marginal,
     predictive_information,
@@ -23,22 +31,14 @@ from deep_curiosity.tabular.solvers import (
     solve_stationary,
     solve_time_step,
 )
-from deep_curiosity.tabular.worlds import (
-    FLIP,
-    STAY,
-    clever_random,
-    grid_world,
-    random_mdp,
-    reliable_unreliable,
-)
 
 ONE_TENTH_BIT = to_nats(0.1)
 STAY_STAY, FLIP_FLIP = np.eye(2)[[STAY, STAY]], np.eye(2)[[FLIP, FLIP]]
 
 
-def bits_of(world, policy):
-    states = stationary_distribution(world.transition, policy, world.start)
-    return to_bits(predictive_information(world.transition, policy, states))
+def bits_of(mdp, policy):
+    states = stationary_distribution(mdp.transition, policy, mdp.start)
+    return to_bits(predictive_information(mdp.transition, policy, states))
 
 
 def extremes(policy):
@@ -48,35 +48,35 @@ def extremes(policy):
 
 @pytest.mark.parametrize("temperature", [0.05, 0.3, 1.5])
 def test_clever_random_reaches_one_bit_with_the_two_extreme_actions(temperature):
-    world, rng = clever_random(), np.random.default_rng(0)
+    mdp, rng = clever_random(), np.random.default_rng(0)
     for _ in range(3):
         start = random_log_policy(2, 101, rng)
-        solution = solve_stationary(world, start, temperature=temperature, tolerance=1e-8)
+        solution = solve_stationary(mdp, start, temperature=temperature, tolerance=1e-8)
         assert solution.converged
-        assert bits_of(world, solution.policy) == pytest.approx(1, abs=1e-6)
+        assert bits_of(mdp, solution.policy) == pytest.approx(1, abs=1e-6)
         assert solution.policy[:, [0, -1]].sum(1) == pytest.approx(1, abs=1e-6)
 
 
 def test_clever_random_has_a_continuum_of_splits_and_keeps_the_one_it_finds():
-    world, rng = clever_random(), np.random.default_rng(1)
+    mdp, rng = clever_random(), np.random.default_rng(1)
     starts = [random_log_policy(2, 101, rng) for _ in range(2)]
-    ends = [solve_stationary(world, start, temperature=0.3, tolerance=1e-6) for start in starts]
+    ends = [solve_stationary(mdp, start, temperature=0.3, tolerance=1e-6) for start in starts]
     assert abs(ends[0].policy[0, 0] - ends[1].policy[0, 0]) > 0.05
     for split in (0.1, 0.5, 0.9):
         policy = extremes(np.tile([split, 1 - split], (2, 1)))
         updated, _ = curious_step(
-            world.transition, safe_log(policy), world.start, np.zeros((2, 101)), 0.3
+            mdp.transition, safe_log(policy), mdp.start, np.zeros((2, 101)), 0.3
         )
         np.testing.assert_allclose(np.exp(updated), policy, atol=1e-12)
 
 
 @pytest.mark.parametrize("start", [np.array([0.5, 0.5]), np.array([0.9, 0.1])])
 def test_limit_with_shared_ties_is_half_each_and_neither_stay_nor_flip(start):
-    world = clever_random()
+    mdp = clever_random()
 
     def respond(policy):
-        states = stationary_distribution(world.transition, policy, start)
-        return greedy(curious_score(world.transition, safe_log(policy), states))
+        states = stationary_distribution(mdp.transition, policy, start)
+        return greedy(curious_score(mdp.transition, safe_log(policy), states))
 
     half = extremes(np.full((2, 2), 0.5))
     np.testing.assert_array_equal(respond(half), half)
@@ -88,35 +88,35 @@ def test_limit_with_shared_ties_is_half_each_and_neither_stay_nor_flip(start):
 
 
 def test_iteration_as_written_falls_into_a_two_cycle():
-    world, rng = clever_random(), np.random.default_rng(2)
+    mdp, rng = clever_random(), np.random.default_rng(2)
     for _ in range(3):
         start = random_log_policy(2, 101, rng)
-        written = solve_stationary(world, start, temperature=0.3, damping=1.0)
+        written = solve_stationary(mdp, start, temperature=0.3, damping=1.0)
         assert written.cycle_length == 2 and not written.converged
-        assert bits_of(world, written.policy) == pytest.approx(0, abs=1e-6)
+        assert bits_of(mdp, written.policy) == pytest.approx(0, abs=1e-6)
 
 
-def test_what_the_two_cycle_reports_is_more_than_the_world_can_carry():
-    world, log_policy = clever_random(), random_log_policy(2, 101, np.random.default_rng(3))
+def test_what_the_two_cycle_reports_is_more_than_the_mdp_can_carry():
+    mdp, log_policy = clever_random(), random_log_policy(2, 101, np.random.default_rng(3))
     nothing = np.zeros((2, 101))
     for _ in range(20):
         previous = log_policy
-        log_policy, _ = curious_step(world.transition, previous, world.start, nothing, 0.3)
-    mixed = curious_score(world.transition, previous, world.start) * np.exp(log_policy)
-    assert to_bits(world.start @ mixed.sum(1)) > 1
-    log_marginal = log_next_state_marginal(world.transition, log_policy, world.start)
+        log_policy, _ = curious_step(mdp.transition, previous, mdp.start, nothing, 0.3)
+    mixed = curious_score(mdp.transition, previous, mdp.start) * np.exp(log_policy)
+    assert to_bits(mdp.start @ mixed.sum(1)) > 1
+    log_marginal = log_next_state_marginal(mdp.transition, log_policy, mdp.start)
     assert np.exp(log_marginal).max() == pytest.approx(1, abs=1e-4)
 
 
 @pytest.mark.parametrize("temperature", [0.05, ONE_TENTH_BIT, 0.5, 2.0])
 def test_short_sighted_agent_stays_in_the_reliable_state_half_the_time(temperature):
-    world, rng = reliable_unreliable(), np.random.default_rng(4)
+    mdp, rng = reliable_unreliable(), np.random.default_rng(4)
     for _ in range(2):
         start = random_log_policy(2, 2, rng)
-        solution = solve_stationary(world, start, temperature=temperature, tolerance=1e-8)
+        solution = solve_stationary(mdp, start, temperature=temperature, tolerance=1e-8)
         policy = solution.policy
         assert policy[0, STAY] == pytest.approx(0.5, abs=1e-5)
-        assert bits_of(world, policy) == pytest.approx(0.5, abs=1e-5)
+        assert bits_of(mdp, policy) == pytest.approx(0.5, abs=1e-5)
 
 
 @pytest.mark.parametrize("share", [0.2, 0.5, 0.9])
@@ -143,27 +143,27 @@ def test_short_sighted_half_does_not_depend_on_the_estimated_states(share):
     ],
 )
 def test_far_sighted_agent_of_the_second_illustration(curiosity_discount, stay, reliable, bits):
-    world, rng = reliable_unreliable(), np.random.default_rng(6)
+    mdp, rng = reliable_unreliable(), np.random.default_rng(6)
     for temperature in (ONE_TENTH_BIT, 1.0):
         solution = solve_stationary(
-            world,
+            mdp,
             random_log_policy(2, 2, rng),
             temperature=temperature,
             curiosity_discount=curiosity_discount,
             tolerance=1e-8,
         )
-        states = stationary_distribution(world.transition, solution.policy, world.start)
+        states = stationary_distribution(mdp.transition, solution.policy, mdp.start)
         assert solution.converged
         assert solution.policy[0, STAY] == pytest.approx(stay, abs=5.1e-5)
         assert states[0] == pytest.approx(reliable, abs=5.1e-5)
-        assert bits_of(world, solution.policy) == pytest.approx(bits, abs=5.1e-5)
+        assert bits_of(mdp, solution.policy) == pytest.approx(bits, abs=5.1e-5)
 
 
-def test_no_policy_of_the_second_world_carries_more_than_the_far_sighted_one():
-    world = reliable_unreliable()
+def test_no_policy_of_the_second_illustration_carries_more_than_the_far_sighted_one():
+    mdp = reliable_unreliable()
     stay = np.linspace(0, 1, 401)
     policies = [np.array([[s, 1 - s], [0.5, 0.5]]) for s in stay]
-    bits = [bits_of(world, policy) for policy in policies]
+    bits = [bits_of(mdp, policy) for policy in policies]
     assert stay[np.argmax(bits)] == pytest.approx(0.75)
     assert max(bits) == pytest.approx(np.log2(3) - 1, abs=1e-9)
 
@@ -171,22 +171,22 @@ def test_no_policy_of_the_second_world_carries_more_than_the_far_sighted_one():
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_no_perturbation_at_one_time_step_raises_the_objective(seed):
     rng = np.random.default_rng(seed)
-    world, hunger, temperature, when = random_mdp(4, 3, rng), 0.3, 0.4, 2
+    mdp, hunger, temperature, when = random_mdp(4, 3, rng), 0.3, 0.4, 2
     base = np.exp(random_log_policy(4, 3, rng))
-    value = action_values(world.transition, world.reward, base, world.discount)
-    states, earned = world.start, 0.0
+    value = action_values(mdp.transition, mdp.reward, base, mdp.discount)
+    states, earned = mdp.start, 0.0
     for step in range(when):  # what (6) earns before time step t, whatever happens then
-        mean_reward = np.einsum("x,xa,xa->", states, base, world.reward)
-        earned += world.discount**step * mean_reward
-        states = propagate(states, world.transition, base)
-    weight = hunger * world.discount**when
+        mean_reward = np.einsum("x,xa,xa->", states, base, mdp.reward)
+        earned += mdp.discount**step * mean_reward
+        states = propagate(states, mdp.transition, base)
+    weight = hunger * mdp.discount**when
 
     def objective(policy):
-        whole = curious_objective(world.transition, policy, states, weight * value, temperature)
+        whole = curious_objective(mdp.transition, policy, states, weight * value, temperature)
         return whole + hunger * earned
 
     solution = solve_time_step(
-        world.transition, np.log(base), states, weight * value, temperature=temperature
+        mdp.transition, np.log(base), states, weight * value, temperature=temperature
     )
     assert solution.converged
     best = objective(solution.policy)
@@ -200,25 +200,25 @@ def test_no_perturbation_at_one_time_step_raises_the_objective(seed):
 @pytest.mark.parametrize("seed", [0, 1])
 def test_stationary_policy_is_a_maximum_for_its_own_states_and_values(seed):
     rng = np.random.default_rng(seed)
-    world = random_mdp(4, 3, rng)
-    policy = solve_stationary(world, temperature=0.5, hunger=0.2).policy
-    states = stationary_distribution(world.transition, policy, world.start)
-    value = 0.2 * action_values(world.transition, world.reward, policy, world.discount)
-    best = curious_objective(world.transition, policy, states, value, 0.5)
+    mdp = random_mdp(4, 3, rng)
+    policy = solve_stationary(mdp, temperature=0.5, hunger=0.2).policy
+    states = stationary_distribution(mdp.transition, policy, mdp.start)
+    value = 0.2 * action_values(mdp.transition, mdp.reward, policy, mdp.discount)
+    best = curious_objective(mdp.transition, policy, states, value, 0.5)
     for _ in range(100):
         moved = 0.99 * policy + 0.01 * np.exp(random_log_policy(4, 3, rng))
-        assert curious_objective(world.transition, moved, states, value, 0.5) <= best + 1e-12
+        assert curious_objective(mdp.transition, moved, states, value, 0.5) <= best + 1e-12
 
 
 @pytest.mark.parametrize("temperature", [0.02, 0.3, 3.0])
 def test_damped_iteration_never_goes_down(temperature):
     rng = np.random.default_rng(7)
     for _ in range(3):
-        world = random_mdp(5, 3, rng)
+        mdp = random_mdp(5, 3, rng)
         solution = solve_time_step(
-            world.transition,
+            mdp.transition,
             random_log_policy(5, 3, rng),
-            world.start,
+            mdp.start,
             rng.normal(size=(5, 3)),
             temperature=temperature,
             max_iterations=200,
@@ -228,14 +228,14 @@ def test_damped_iteration_never_goes_down(temperature):
 
 def test_trace_is_the_objective_of_the_definition():
     rng = np.random.default_rng(12)
-    world, log_policy, value = random_mdp(4, 3, rng), random_log_policy(4, 3, rng), np.ones((4, 3))
-    _, traced = curious_step(world.transition, log_policy, world.start, value, 0.7)
-    defined = curious_objective(world.transition, np.exp(log_policy), world.start, value, 0.7)
+    mdp, log_policy, value = random_mdp(4, 3, rng), random_log_policy(4, 3, rng), np.ones((4, 3))
+    _, traced = curious_step(mdp.transition, log_policy, mdp.start, value, 0.7)
+    defined = curious_objective(mdp.transition, np.exp(log_policy), mdp.start, value, 0.7)
     assert traced == pytest.approx(defined, abs=1e-14)
 
 
 def test_one_update_by_hand():
-    world, policy = reliable_unreliable(), np.array([[0.8, 0.2], [0.4, 0.6]])
+    mdp, policy = reliable_unreliable(), np.array([[0.8, 0.2], [0.4, 0.6]])
     states, temperature = np.array([0.25, 0.75]), 0.5
     value = np.array([[0.1, 0.0], [0.0, 0.3]])
     prior = states @ policy  # 0.5, 0.5
@@ -243,54 +243,52 @@ def test_one_update_by_hand():
     half = 0.5 * np.log(0.5 / marginal[0]) + 0.5 * np.log(0.5 / marginal[1])
     divergence = np.array([[-np.log(marginal[0]), -np.log(marginal[1])], [half, half]])
     weight = prior * np.exp((divergence + value) / temperature)
-    updated, _ = curious_step(world.transition, np.log(policy), states, value, temperature)
+    updated, _ = curious_step(mdp.transition, np.log(policy), states, value, temperature)
     np.testing.assert_allclose(np.exp(updated), weight / weight.sum(1, keepdims=True))
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
 def test_cold_policy_chooses_only_what_the_deterministic_limit_allows(seed):
-    world = random_mdp(4, 3, np.random.default_rng(seed))
-    value = action_values(world.transition, world.reward, np.full((4, 3), 1 / 3), 0.9)
+    mdp = random_mdp(4, 3, np.random.default_rng(seed))
+    value = action_values(mdp.transition, mdp.reward, np.full((4, 3), 1 / 3), 0.9)
 
     def solve(log_policy, temperature):
         return solve_time_step(
-            world.transition,
+            mdp.transition,
             log_policy,
-            world.start,
+            mdp.start,
             value,
             temperature=temperature,
             max_iterations=400,
         )
 
     policy = anneal(solve, uniform_log_policy(4, 3), [1.0, 0.1, 0.01, 1e-3]).policy
-    score = value + curious_score(world.transition, safe_log(policy), world.start)
+    score = value + curious_score(mdp.transition, safe_log(policy), mdp.start)
     shortfall = score.max(1, keepdims=True) - score
     assert np.max(policy * shortfall) < 1e-3
 
 
-@pytest.mark.parametrize("world", [random_mdp(5, 3, np.random.default_rng(8)), grid_world(3, 3)])
+@pytest.mark.parametrize("mdp", [random_mdp(5, 3, np.random.default_rng(8)), grid_world(3, 3)])
 @pytest.mark.parametrize("curiosity_discount", [0.0, 0.9])
-def test_hungry_agent_finds_the_optimal_policy(world, curiosity_discount):
+def test_hungry_agent_finds_the_optimal_policy(mdp, curiosity_discount):
     solution = solve_stationary(
-        world,
+        mdp,
         temperature=0.5,
         hunger=1e4,
         curiosity_discount=curiosity_discount,
         tolerance=1e-8,
     )
-    reached = action_values(world.transition, world.reward, solution.policy, world.discount)
-    best = optimal_action_values(world.transition, world.reward, world.discount)
+    reached = action_values(mdp.transition, mdp.reward, solution.policy, mdp.discount)
+    best = optimal_action_values(mdp.transition, mdp.reward, mdp.discount)
     chosen = np.einsum("xa,xa->x", solution.policy, reached)
     np.testing.assert_allclose(chosen, best.max(-1), rtol=1e-3)
 
 
 def test_only_the_recomputed_states_change():
-    world, rng = random_mdp(4, 3, np.random.default_rng(9)), np.random.default_rng(10)
+    mdp, rng = random_mdp(4, 3, np.random.default_rng(9)), np.random.default_rng(10)
     start = random_log_policy(4, 3, rng)
     rows = np.arange(4) == 2
-    solution = solve_time_step(
-        world.transition, start, world.start, temperature=0.3, recomputed=rows
-    )
+    solution = solve_time_step(mdp.transition, start, mdp.start, temperature=0.3, recomputed=rows)
     np.testing.assert_allclose(solution.policy[~rows], np.exp(start)[~rows], atol=1e-12)
     assert not np.allclose(solution.policy[2], np.exp(start)[2])
 
@@ -300,6 +298,6 @@ def test_annealing_needs_a_temperature():
         anneal(lambda log_policy, temperature: None, np.zeros((2, 2)), [])
 
 
-def test_policy_that_does_not_sum_to_one_is_turned_away():
+def test_policy_that_does_not_sum_to_one_is_rejected():
     with pytest.raises(ValueError, match="`policy` must sum to 1"):
         solve_stationary(reliable_unreliable(), np.zeros((2, 2)), temperature=0.1)

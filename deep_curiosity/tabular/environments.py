@@ -1,4 +1,4 @@
-"""Finite worlds: transition tables `P[x, a, x']`, rewards `R[x, a]`, and where life starts."""
+"""Finite environments: transitions `P[x, a, x']`, rewards `R[x, a]` and the initial states."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ from deep_curiosity.tabular.checks import (
 STAY, FLIP = 0, 1  # the two actions of the reliable and the unreliable state
 LEFT, RIGHT = 0, 1  # the two actions of the chain
 MOVES = ((-1, 0), (1, 0), (0, -1), (0, 1))  # the actions of the grid: up, down, left, right
-LARGEST_DISCOUNT = float(np.nextafter(1, 0))  # at one, the return of an endless world diverges
+LARGEST_DISCOUNT = float(np.nextafter(1, 0))  # at one, the return without an end diverges
 
 
 @dataclass(frozen=True)
