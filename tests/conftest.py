@@ -1,13 +1,12 @@
 """One thread, random stream and precision of its own for every test, and runs of a second."""
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 import torch
 
-from deep_curiosity.training import Settings
+from deep_curiosity.training import Config
 
 torch.set_num_threads(1)
 
@@ -27,27 +26,27 @@ def own_precision() -> Iterator[None]:
 
 
 @pytest.fixture(autouse=True)
-def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Runs leave no picture, which takes as long as the run, unless a test is marked `drawn`."""
-    if "drawn" not in request.keywords:
-        monkeypatch.setattr("deep_curiosity.training.loop.draw_run", lambda folder: None)
+def unplotted(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Runs leave no picture, which takes as long as the run, unless a test is marked `plotted`."""
+    if "plotted" not in request.keywords:
+        monkeypatch.setattr("deep_curiosity.training.loop.plot_run", lambda folder: None)
 
 
 @pytest.fixture
-def tiny(tiny_settings: Settings, tmp_path: Path) -> Settings:
-    return replace(tiny_settings, out=tmp_path / "run")
+def tiny(tiny_config: Config, tmp_path: Path) -> Config:
+    return tiny_config.override(out=tmp_path / "run")
 
 
 @pytest.fixture(scope="session")
-def tiny_settings() -> Settings:
-    return Settings(
+def tiny_config() -> Config:
+    return Config.of(
         env_id="PendulumSwingup",
         env_kwargs={"action_cost": 0.1},
         total_steps=60,
         hidden_dim=16,
         batch_size=32,
         components=16,
-        members=2,
+        num_members=2,
         refresh_interval=3,
         learning_starts=20,
         log_interval=20,
