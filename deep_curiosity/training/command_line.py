@@ -168,3 +168,21 @@ def _comments(owner: type) -> dict[str, str]:
 def help_of(each: Setting) -> str:
     """What the comment of a setting says."""
     return _comments(each.owner)[each.field]
+
+
+def read_settings(pairs: Sequence[str]) -> dict[str, Any]:
+    """Settings written as `name=value`, each value as Python or as text.
+
+    Raises:
+        ValueError: If one is not written so.
+    """
+    values: dict[str, Any] = {}
+    for pair in pairs:
+        name, separator, text = pair.partition("=")
+        if not separator:
+            raise ValueError(f"a setting must be written as name=value, got {pair!r}.")
+        try:
+            values[name] = ast.literal_eval(text)
+        except (SyntaxError, ValueError):
+            values[name] = text
+    return values
