@@ -87,6 +87,8 @@ class CuriousSAC(nn.Module):
         self.action_dim = action_dim
         self.curiosity = curiosity
         self.is_conditioned = config.is_conditioned
+        self.tunes_temperature = config.tunes_temperature
+        self.actor_stride = config.actor_stride
         self.num_steps = config.reward.reward_steps, config.curiosity.steps
         """Steps that are summed in the target of each value."""
         self.has_curiosity_critic = curiosity and config.curiosity.discount > 0
@@ -385,7 +387,7 @@ class CuriousSAC(nn.Module):
         self, sequences: Sequences, bonus: Tensor | BonusFunction | None, hunger: Hunger
     ) -> tuple[PolicySample, dict[str, Tensor]]:
         """Step the policy on a part of the batch; return its sample and what to log."""
-        rows = slice(None, sequences.alive.shape[1], self.config.actor_stride)
+        rows = slice(None, sequences.alive.shape[1], self.actor_stride)
         observation = sequences.steps.observation[rows]
         hunger = hunger[rows] if hunger.ndim else hunger
         policy = self.policy(self.policy_input(observation, hunger))
@@ -461,7 +463,7 @@ class CuriousSAC(nn.Module):
             "information_rate": rate.mean(),
             "temperature": self.log_temperature.detach().exp(),
         }
-        if self.config.tunes_temperature:
+        if self.tunes_temperature:
             loss = temperature_loss(self.log_temperature, rate, self.target_information_rate)
             self.optimizers["temperature"].step(loss)
         return metrics
@@ -471,7 +473,7 @@ class CuriousSAC(nn.Module):
             "policy": list(self.policy.parameters()),
             "critics": list(self.critics.parameters()),
             "prior": list(self.prior.parameters()),
-            "temperature": [self.log_temperature] if self.config.tunes_temperature else [],
+            "temperature": [self.log_temperature] if self.tunes_temperature else [],
         }
         return {name: own for name, own in parameters.items() if own}
 

@@ -67,9 +67,10 @@ class StackedMLP(nn.Module):
         """Apply every member to one shared batch, or each member to its own."""
         if value.ndim == 2:
             value = value.repeat(self.members, 1, 1)  # a product would copy what is expanded
-        for layer in self.layers[:-1]:
-            value = torch.relu(layer(value))
-        return self.layers[-1](value)
+        for layer in self.layers[:-1]:  # written out, as it is done most often of all
+            value = torch.relu(torch.bmm(value, layer.weight) + layer.bias)
+        output: Tensor = self.layers[-1](value)
+        return output
 
     def hidden(
         self,

@@ -119,7 +119,9 @@ class CuriousReplayBuffer(ReplayBuffer):
         bonus = self._compute_bonus(transition, batch_inds, columns)
         return samples._replace(rewards=samples.rewards + bonus.unsqueeze(-1))
 
-    def _compute_bonus(self, transition: Transition, rows: np.ndarray, columns: np.ndarray) -> Tensor:
+    def _compute_bonus(
+        self, transition: Transition, rows: np.ndarray, columns: np.ndarray
+    ) -> Tensor:
         """What is added to the rewards of a batch, which the bonus has just seen."""
         return self.attachment.compute(transition)
 
@@ -134,7 +136,9 @@ class CuriousNStepReplayBuffer(CuriousReplayBuffer, NStepReplayBuffer):  # type:
         **options: As for `CuriousReplayBuffer`.
     """
 
-    def _compute_bonus(self, transition: Transition, rows: np.ndarray, columns: np.ndarray) -> Tensor:
+    def _compute_bonus(
+        self, transition: Transition, rows: np.ndarray, columns: np.ndarray
+    ) -> Tensor:
         steps = (rows[:, None] + np.arange(self.n_steps)) % self.buffer_size  # batch n_steps
         columns = np.broadcast_to(columns[:, None], steps.shape)
         summed = self._before_the_end(steps, columns)
