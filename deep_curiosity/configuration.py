@@ -162,7 +162,7 @@ def _replaced(config: Nest, by_path: Mapping[tuple[str, ...], Any]) -> Nest:
 
 
 @cache
-def _hints(group: type) -> dict[str, Any]:
+def _hints(group: Any) -> dict[str, Any]:
     return typing.get_type_hints(group)
 
 
@@ -197,8 +197,8 @@ def _convert(option: Any, value: Any) -> Any:
         entries = tuple(value)
         return entries if all(_is_of(args[0], entry) for entry in entries) else None
     if origin in (dict, Mapping) and isinstance(value, Mapping):
-        entries = {key: _as(args[1], entry) for key, entry in value.items()}
-        return None if None in entries.values() else entries
+        converted = {key: _as(args[1], entry) for key, entry in value.items()}
+        return None if None in converted.values() else converted
     if option is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
     if option is Path and isinstance(value, str):

@@ -62,7 +62,8 @@ class Schedule:
                 "a schedule must be written as shape:first:last, its shape one of "
                 f"{', '.join(get_args(Shape))}, got {text!r}."
             )
-        return cls(*values, shape=shape)  # type: ignore[arg-type]  # one of the shapes
+        first, last = values[0], (values[1] if len(values) == 2 else None)
+        return cls(first, last, shape)  # type: ignore[arg-type]  # one of the shapes
 
     def __str__(self) -> str:
         """As `parse` reads it."""

@@ -1,5 +1,6 @@
 """Running a study: tasks x agents x seeds in, one or several rows for each run out."""
 
+import math
 import sys
 from collections.abc import Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
@@ -100,9 +101,9 @@ def collect(cells: Sequence[Cell], results: dict[int, Result]) -> tuple[list[Row
         cell = cells[number]
         key = {"task": cell.task.name, cell.study.label: cell.agent, "seed": cell.seed}
         for measured in result.rows:
-            score = measured.get("evaluation_return")
+            score = measured.get("evaluation_return", math.nan)
             needed = cell.task.solved_return
-            known = score is not None and needed == needed  # NaN is not
+            known = not (math.isnan(score) or math.isnan(needed))
             solved = {"solved": int(score >= needed) if known else ""}
             rows.append(key | solved | measured | result.origin)
         curves += [key | point for point in result.curve]

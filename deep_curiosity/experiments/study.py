@@ -1,7 +1,7 @@
 """What a study is: tasks, agents by the settings they change, and what is measured of each run."""
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +10,8 @@ from deep_curiosity.experiments.runs import measure_run, run_own
 from deep_curiosity.training.config import Config
 
 Row = dict[str, Any]
+Agents = dict[str | float, dict[str, Any]]
+"""Label of each agent to the settings that it changes."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,7 @@ class Study:
     """
 
     tasks: Sequence[Task]
-    agents: Mapping[str | float, Mapping[str, Any]]
+    agents: Agents
     seeds: int = 5
     label: str = "agent"
     columns: Sequence[str] = ("evaluation_return", "mean_training_return", "first_success_step")

@@ -52,13 +52,17 @@ class StackedMLP(nn.Module):
         out_features: Size of each output.
     """
 
+    layers: Sequence[StackedLinear]
+
     def __init__(
         self, members: int, in_features: int, hidden_dims: Sequence[int], out_features: int
     ) -> None:
         super().__init__()
         widths = [in_features, *hidden_dims, out_features]
         self.members = members
-        self.layers = nn.ModuleList(StackedLinear(members, *pair) for pair in pairwise(widths))
+        self.layers = nn.ModuleList(  # type: ignore[assignment]  # of linear layers
+            StackedLinear(members, *pair) for pair in pairwise(widths)
+        )
 
     def forward(
         self,

@@ -159,7 +159,7 @@ def seal_modules(owner: object) -> None:
 
 
 @cache
-def _sealed(kind: type[nn.Module]) -> type[nn.Module]:
+def _sealed(kind: Any) -> Any:
     """A class like another whose instances refuse to have plain public attributes set."""
     if hasattr(kind, "_sealed_from"):
         return kind

@@ -90,7 +90,7 @@ def _make_vector(config: EnvironmentConfig) -> VectorEnv[np.ndarray, np.ndarray,
             config.num_envs,
             "vector_entry_point",
             autoreset_mode=AutoresetMode.DISABLED,
-            **config.env_kwargs,
+            **dict[str, Any](config.env_kwargs),
         )
     except TypeError as error:
         raise ValueError(

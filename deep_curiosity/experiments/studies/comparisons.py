@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from deep_curiosity.experiments.study import Study, Task
+from deep_curiosity.experiments.study import Agents, Study, Task
 from deep_curiosity.training.config import PRESETS, Config
 
 SMALL = Config.of(total_steps=16_000, hidden_dim=64, log_interval=1_000, evaluation_interval=1_000)
@@ -31,8 +31,8 @@ CHEETAH = Task(
     SMALL.override(env_id="HalfCheetah-v5", hidden_dim=128),
     solved_return=1_000.0,
 )
-CURIOSITY = {"curiosity": {}}
-PLAIN = {"plain SAC": {"bonus": "none"}}
+CURIOSITY: Agents = {"curiosity": {}}
+PLAIN: Agents = {"plain SAC": {"bonus": "none"}}
 BASELINES = ("disagreement", "information-gain", "rnd", "icm", "nearest-neighbours", "hash-count")
 UNDIRECTED = {"gSDE": "gsde", "pink noise": "pink", "Ornstein-Uhlenbeck": "ou"}
 

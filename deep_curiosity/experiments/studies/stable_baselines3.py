@@ -78,7 +78,9 @@ class Evaluation(BaseCallback):
     def _on_step(self) -> bool:
         if self.num_timesteps % EVALUATION_INTERVAL == 0:
             mean, _ = evaluate_policy(self.model, self.env, EVALUATION_EPISODES)
-            self.curve.append({"step": self.num_timesteps, "evaluation_return": float(mean)})
+            self.curve.append(
+                {"step": self.num_timesteps, "evaluation_return": float(np.mean(mean))}
+            )
         return True
 
 

@@ -1,6 +1,7 @@
 """One setting at a time: what it does to return, coverage, information or time at a noise."""
 
 import math
+from typing import Any
 
 import gymnasium
 import numpy as np
@@ -8,7 +9,7 @@ import torch
 
 from deep_curiosity.bonuses.decomposition import PARTS
 from deep_curiosity.experiments.runs import measure_area
-from deep_curiosity.experiments.study import Row, Study, Task
+from deep_curiosity.experiments.study import Agents, Row, Study, Task
 from deep_curiosity.training.checkpoint import load_checkpoint
 from deep_curiosity.training.collector import Collector, Episode, as_batch
 from deep_curiosity.training.config import Config
@@ -29,18 +30,19 @@ PHASE = 4_000  # steps at either end of a run, whose cells are counted by themse
 SMALL = Config.of(hidden_dim=64, log_interval=500, evaluation_interval=2_000)
 HALVED = SMALL.override(update_to_data=0.5, total_steps=16_000)
 WIDE = SMALL.override(hidden_dim=128, total_steps=30_000, evaluation_interval=1_500)
-COST = {"env_kwargs": {"action_cost": 0.1}}
-FADING = {"marginal_horizon": 2_000, "marginal_forgetting": "exponential"}
-PAST_THE_END = {"curiosity_episodic": False}
-PLAIN_AND_DEFAULT = {"plain": {"bonus": "none"}, "default": {}}
-DENSE_AGENTS = PLAIN_AND_DEFAULT | {"bandit": {"hunger": "bandit"}}
+COST: dict[str, Any] = {"env_kwargs": {"action_cost": 0.1}}
+FADING: dict[str, Any] = {"marginal_horizon": 2_000, "marginal_forgetting": "exponential"}
+PAST_THE_END: dict[str, Any] = {"curiosity_episodic": False}
+DEFAULT: Agents = {"curiosity": {}}
+PLAIN_AND_DEFAULT: Agents = {"plain": {"bonus": "none"}, "default": {}}
+DENSE_AGENTS: Agents = PLAIN_AND_DEFAULT | {"bandit": {"hunger": "bandit"}}
 NOISE_BASELINES = ("rnd", "icm", "nearest-neighbours", "none")
 RETURNS = ("evaluation_return", "mean_training_return")
 AREA = ("area", "evaluation_return")
 NOISE = ("noisy_time", "early_coverage", "late_coverage", "coverage")
 
 
-def task(name: str, base: Config, **settings: object) -> Task:
+def task(name: str, base: Config, **settings: Any) -> Task:
     """A task by its id, in a study that asks for no return."""
     return Task(name, base.override(env_id=name, **settings))
 
@@ -82,7 +84,8 @@ def measure_hungers(config: Config, summary: Row) -> list[Row]:
     for hunger in HUNGERS:
         agent.hunger = hunger
         collector = Collector(environment, seed=config.run.seed)
-        returns, cells = [], set()
+        returns: list[float] = []
+        cells = set()
         while len(returns) < SWEPT_EPISODES:
             step, finished = collector.step(agent.act(as_batch(collector.observation)).numpy())
             cells.add(pendulum_cell(step.next_observation[0]))
@@ -153,13 +156,13 @@ STUDIES = {
     ),
     "parts": Study(
         [task("NoisyRoom", HALVED)],
-        {"D": {}} | {part: {"bonus_parts": {part: 1.0}} for part in PARTS},
+        DEFAULT | {part: {"bonus_parts": {part: 1.0}} for part in PARTS},
         columns=NOISE,
         measure=measure_noise,
     ),
     "noise": Study(
         [task("NoisyRoom", HALVED)],
-        {"curiosity": {}, "fading": FADING} | {name: {"bonus": name} for name in NOISE_BASELINES},
+        DEFAULT | {"fading": FADING} | {name: {"bonus": name} for name in NOISE_BASELINES},
         columns=NOISE,
         measure=measure_noise,
     ),
