@@ -38,7 +38,7 @@ class Group:
 
     def __post_init__(self) -> None:
         """Bring every value to its type, or reject it."""
-        hints = _hints(type(self))
+        hints = _hints(type(self))  # type: ignore[arg-type]  # classes are hashable
         assert is_dataclass(self)
         for field in fields(self):
             name = field.metadata.get("name", field.name)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from deep_curiosity.experiments.figures import plot_columns, plot_curves
-from deep_curiosity.experiments.runs import find_finished, run_own
+from deep_curiosity.experiments.runs import find_finished, finished_key, run_own
 from deep_curiosity.experiments.statistics import probability_of_improvement
 from deep_curiosity.experiments.study import Cell, Result, Row, Study
 from deep_curiosity.experiments.tables import markdown_table, select, summarize, write_table
@@ -28,7 +28,7 @@ def overridden(study: Study, values: dict[str, Any]) -> Study:
 def cells_of(study: Study, runs: Path) -> list[Cell]:
     """All runs of a study, seed by seed, each with its folder below `runs`.
 
-    A run of the same settings that lies anywhere below `runs` already is used where it lies.
+    A run of the same settings that lies anywhere beside or below `runs` is used where it lies.
     """
     cells = [
         Cell(study, task, agent, seed, runs / task.name / f"{agent}" / f"seed{seed}")
@@ -38,8 +38,10 @@ def cells_of(study: Study, runs: Path) -> list[Cell]:
     ]
     if study.run is not run_own:
         return cells
+    finished = find_finished(runs.parent)
     return [
-        replace(cell, folder=find_finished(cell.config, runs.parent).run.out) for cell in cells
+        replace(cell, folder=finished.get(finished_key(cell.config), cell.folder))
+        for cell in cells
     ]
 
 

@@ -96,13 +96,17 @@ def run_foreign(cell: "Cell", trained: Callable[["Cell"], tuple["Row", list["Row
     return Result([result["row"]], result["curve"], result["origin"])
 
 
-def find_finished(config: Config, runs: Path) -> Config:
-    """The same run, in the place where one of its settings lies below a folder already."""
-    wanted = config_key(config.to_json())
-    for path in sorted(runs.rglob(CONFIG)):
-        if config_key(read_values(path.parent)) == wanted:
-            return config.override(out=path.parent)
-    return config
+def find_finished(runs: Path) -> dict[str, Path]:
+    """Folders of all runs that lie somewhere below one, by what makes each run the one it is."""
+    return {
+        json.dumps(config_key(read_values(path.parent)), sort_keys=True): path.parent
+        for path in sorted(runs.rglob(CONFIG), reverse=True)
+    }
+
+
+def finished_key(config: Config) -> str:
+    """Key of a run in `find_finished`."""
+    return json.dumps(config_key(config.to_json()), sort_keys=True)
 
 
 def measure_run(config: Config, summary: "Row") -> list["Row"]:

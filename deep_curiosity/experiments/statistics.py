@@ -42,12 +42,6 @@ def interquartile_mean(values: np.ndarray) -> np.ndarray:
     return middle
 
 
-def mean(values: np.ndarray) -> np.ndarray:
-    """Mean of the values along the last axis."""
-    average: np.ndarray = values.mean(-1)
-    return average
-
-
 def bootstrap(
     groups: Groups, statistic: Statistic = interquartile_mean, *, seed: int = 0
 ) -> Estimate:

@@ -155,7 +155,7 @@ def seal_modules(owner: object) -> None:
     for module in held:
         if isinstance(module, nn.Module):
             for part in module.modules():
-                part.__class__ = _sealed(type(part))
+                part.__class__ = _sealed(type(part))  # type: ignore[arg-type]
 
 
 @cache
