@@ -110,8 +110,8 @@ class Config(Group):
             )
         if self.run.exploration != "policy" and self.agent.mixture_components > 1:
             raise ValueError(
-                "`exploration` must be 'policy' for a policy of "
-                f"{self.agent.mixture_components} mixture components, got {self.run.exploration!r}."
+                f"`exploration` must be 'policy' for a policy of {self.agent.mixture_components} "
+                f"mixture components, got {self.run.exploration!r}."
             )
         if self.agent.curiosity.discount == 0 and self.bonus.scores_outcomes:
             raise ValueError(
