@@ -101,7 +101,10 @@ def override(config: Nest, **values: Any) -> Nest:
     for name in values:
         if name not in known:
             raise TypeError(f"`{name}` is no setting here; there are {', '.join(known)}.")
-    by_path = {known[name].path: value for name, value in values.items()}
+    by_path = {
+        known[name].path: coerce(name, known[name].annotation, value)
+        for name, value in values.items()
+    }
     return _replaced(config, by_path)
 
 

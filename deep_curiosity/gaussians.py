@@ -42,7 +42,7 @@ class DiagonalMixture(NamedTuple):
         return (self.log_weight.exp() * value).sum(-1)
 
     def component_samples(
-        self, noise: Float[Tensor, "*places components dim"]
+        self, noise: Float[Tensor, "*places #components dim"]
     ) -> Float[Tensor, "*places components dim"]:
         """One point of each component for standard normal `noise`, differentiable."""
         return self.loc + torch.exp(0.5 * self.log_var) * noise
