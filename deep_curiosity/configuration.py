@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal, Protocol, Self, TypeVar, Union, get_args, get_origin
+from typing import Any, Literal, Protocol, TypeVar, Union, get_args, get_origin
 
 Nest = TypeVar("Nest", bound="Group")
 
@@ -22,7 +22,7 @@ class FromText(Protocol):
     """A value of a setting that can be written as text, by `str`, and read back."""
 
     @classmethod
-    def parse(cls, text: str) -> Self:
+    def parse(cls, text: str) -> Any:
         """Read what `str` wrote."""
 
 
@@ -101,7 +101,10 @@ def override(config: Nest, **values: Any) -> Nest:
     for name in values:
         if name not in known:
             raise TypeError(f"`{name}` is no setting here; there are {', '.join(known)}.")
-    by_path = {known[name].path: value for name, value in values.items()}
+    by_path = {
+        known[name].path: coerce(name, known[name].annotation, value)
+        for name, value in values.items()
+    }
     return _replaced(config, by_path)
 
 

@@ -25,7 +25,7 @@ class DiagonalMixture(NamedTuple):
     log_var: Float[Tensor, "*batch components dim"]
     log_weight: Float[Tensor, "*batch components"]
 
-    def log_prob(self, value: Float[Tensor, "*places dim"]) -> Float[Tensor, "*places"]:
+    def log_prob(self, value: Float[Tensor, "*#batch dim"]) -> Float[Tensor, "*batch"]:
         """Log density of values under the whole mixture, in nats."""
         log_prob = gaussian_log_prob(value.unsqueeze(-2), self.loc, 0.5 * self.log_var)
         if self.loc.shape[-2] == 1:
@@ -42,8 +42,8 @@ class DiagonalMixture(NamedTuple):
         return (self.log_weight.exp() * value).sum(-1)
 
     def component_samples(
-        self, noise: Float[Tensor, "*places components dim"]
-    ) -> Float[Tensor, "*places components dim"]:
+        self, noise: Float[Tensor, "*#batch #components dim"]
+    ) -> Float[Tensor, "*batch components dim"]:
         """One point of each component for standard normal `noise`, differentiable."""
         return self.loc + torch.exp(0.5 * self.log_var) * noise
 

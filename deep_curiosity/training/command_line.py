@@ -91,9 +91,9 @@ def parse(arguments: Sequence[str] | None = None, *, description: str) -> Comman
 
 def _peek(arguments: list[str], flag: str) -> str | None:
     """Value of a flag, before all are read."""
-    for argument, following in zip(arguments, [*arguments[1:], None], strict=True):
+    for argument, value in zip(arguments, [*arguments[1:], None], strict=True):
         if argument == flag:
-            return following
+            return value
         if argument.startswith(f"{flag}="):
             return argument.partition("=")[2]
     return None

@@ -225,7 +225,7 @@ class Learner:
         return NumpyPolicy(self.agent.policy) if applies else None
 
     def _random_state(self) -> dict[str, Tensor]:
-        """State of the global generators that the run draws from."""
+        """State of the global generators that the run samples from."""
         state = {"cpu": torch.get_rng_state()}
         if self.device.type == "cuda":
             state["cuda"] = torch.cuda.get_rng_state(self.device)

@@ -64,7 +64,7 @@ class Run:
         return self.run_log.step >= self.config.run.total_steps
 
     def reached(self, interval: int) -> bool:
-        """Whether the newest steps, one of every environment, have come to a multiple of an interval."""
+        """Whether the newest steps, one of every environment, reach a multiple of an interval."""
         return self.run_log.step % interval < self.config.environment.num_envs
 
     @property
