@@ -36,7 +36,7 @@ def import_runner(address: str, *args: Any) -> Runner:
 
 
 class Answer(NamedTuple):
-    """What a worker gives back."""
+    """What a worker answers."""
 
     value: Any
     seconds: float

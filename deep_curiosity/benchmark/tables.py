@@ -44,7 +44,7 @@ def grouped(rows: Sequence[Row], *columns: str) -> dict[Key, list[Row]]:
     return groups
 
 
-def spread(rows: Sequence[Row], value: str | Callable[[Row], float]) -> str:
+def summarize(rows: Sequence[Row], value: str | Callable[[Row], float]) -> str:
     """`median [lowest, highest]` over rows of a column or of what is computed of each row."""
     return median_and_range([row[value] if isinstance(value, str) else value(row) for row in rows])
 
@@ -59,9 +59,11 @@ def ratio(over: str, under: str) -> Callable[[Row], float]:
     return lambda row: row[over] / row[under]
 
 
-def rate_over(rows: Sequence[Row], reference: str) -> Callable[[Row], float]:
-    """Steps per second of a row over those of a reference in the same turn."""
-    rates = {row["repeat"]: row["steps_per_second"] for row in rows if row["runner"] == reference}
+def rate_over(
+    rows: Sequence[Row], reference: str, column: str = "runner"
+) -> Callable[[Row], float]:
+    """Steps per second of a row over those of a reference in the same round."""
+    rates = {row["repeat"]: row["steps_per_second"] for row in rows if row[column] == reference}
     return lambda row: row["steps_per_second"] / rates[row["repeat"]]
 
 
