@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal, Protocol, Self, TypeVar, Union, get_args, get_origin
+from typing import Any, Literal, Protocol, TypeVar, Union, get_args, get_origin
 
 Nest = TypeVar("Nest", bound="Group")
 
@@ -22,7 +22,7 @@ class FromText(Protocol):
     """A value of a setting that can be written as text, by `str`, and read back."""
 
     @classmethod
-    def parse(cls, text: str) -> Self:
+    def parse(cls, text: str) -> Any:
         """Read what `str` wrote."""
 
 
@@ -38,7 +38,7 @@ class Group:
 
     def __post_init__(self) -> None:
         """Bring every value to its type, or reject it."""
-        hints = _hints(type(self))
+        hints = _hints(type(self))  # type: ignore[arg-type]  # classes are hashable
         assert is_dataclass(self)
         for field in fields(self):
             name = field.metadata.get("name", field.name)
@@ -101,7 +101,10 @@ def override(config: Nest, **values: Any) -> Nest:
     for name in values:
         if name not in known:
             raise TypeError(f"`{name}` is no setting here; there are {', '.join(known)}.")
-    by_path = {known[name].path: value for name, value in values.items()}
+    by_path = {
+        known[name].path: coerce(name, known[name].annotation, value)
+        for name, value in values.items()
+    }
     return _replaced(config, by_path)
 
 
@@ -162,7 +165,7 @@ def _replaced(config: Nest, by_path: Mapping[tuple[str, ...], Any]) -> Nest:
 
 
 @cache
-def _hints(group: type) -> dict[str, Any]:
+def _hints(group: Any) -> dict[str, Any]:
     return typing.get_type_hints(group)
 
 
@@ -197,8 +200,8 @@ def _convert(option: Any, value: Any) -> Any:
         entries = tuple(value)
         return entries if all(_is_of(args[0], entry) for entry in entries) else None
     if origin in (dict, Mapping) and isinstance(value, Mapping):
-        entries = {key: _as(args[1], entry) for key, entry in value.items()}
-        return None if None in entries.values() else entries
+        converted = {key: _as(args[1], entry) for key, entry in value.items()}
+        return None if None in converted.values() else converted
     if option is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
     if option is Path and isinstance(value, str):

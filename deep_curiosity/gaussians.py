@@ -25,7 +25,7 @@ class DiagonalMixture(NamedTuple):
     log_var: Float[Tensor, "*batch components dim"]
     log_weight: Float[Tensor, "*batch components"]
 
-    def log_prob(self, value: Float[Tensor, "*places dim"]) -> Float[Tensor, "*places"]:
+    def log_prob(self, value: Float[Tensor, "*#batch dim"]) -> Float[Tensor, "*batch"]:
         """Log density of values under the whole mixture, in nats."""
         log_prob = gaussian_log_prob(value.unsqueeze(-2), self.loc, 0.5 * self.log_var)
         if self.loc.shape[-2] == 1:
@@ -42,8 +42,8 @@ class DiagonalMixture(NamedTuple):
         return (self.log_weight.exp() * value).sum(-1)
 
     def component_samples(
-        self, noise: Float[Tensor, "*places components dim"]
-    ) -> Float[Tensor, "*places components dim"]:
+        self, noise: Float[Tensor, "*#batch #components dim"]
+    ) -> Float[Tensor, "*batch components dim"]:
         """One point of each component for standard normal `noise`, differentiable."""
         return self.loc + torch.exp(0.5 * self.log_var) * noise
 
@@ -182,8 +182,11 @@ def kl_to_mixture_lower(
         log_var.unsqueeze(-2), component_log_var
     )  # *batch components dim
     overlap = gaussian_log_prob(loc.unsqueeze(-2), component_loc, 0.5 * sum_log_var)
-    log_weight = _log_weight(component_loc, component_log_weight)
-    return -gaussian_entropy(log_var) - torch.logsumexp(overlap + log_weight, dim=-1)
+    if component_log_weight is None:  # equal weights
+        overlap = overlap - math.log(component_loc.shape[0])
+    else:
+        overlap = overlap + component_log_weight
+    return -gaussian_entropy(log_var) - torch.logsumexp(overlap, dim=-1)
 
 
 def kl_to_mixture_sampled(
@@ -270,13 +273,16 @@ def expected_log_density(
     """
     dtype = loc.dtype
     product_dtype = torch.promote_types(product_dtype, dtype)
-    loc, log_var, component_loc, component_log_var = (
-        part.to(product_dtype) for part in (loc, log_var, component_loc, component_log_var)
-    )
+    loc, log_var = loc.to(product_dtype), log_var.to(product_dtype)
+    component_loc = component_loc.to(product_dtype)
+    component_log_var = component_log_var.to(product_dtype)
     precision = torch.exp(-component_log_var)
     weighted_loc = component_loc * precision
     offset = -0.5 * (component_log_var + component_loc * weighted_loc + LOG_TWO_PI).sum(-1)
-    offset = offset + _log_weight(component_loc, component_log_weight)
+    if component_log_weight is None:  # equal weights
+        offset = offset - math.log(component_loc.shape[0])
+    else:
+        offset = offset + component_log_weight
     # the offset is the slope of a moment that is one: to add it would take a pass over all pairs
     moments = torch.cat([log_var.exp() + loc.square(), loc, torch.ones_like(loc[..., :1])], dim=-1)
     slopes = torch.cat([-0.5 * precision, weighted_loc, offset.unsqueeze(-1)], dim=-1)
@@ -307,16 +313,6 @@ def _bhattacharyya_distance(
     log_mean_var = torch.logaddexp(log_var, other_log_var) - math.log(2)
     distance = 0.25 * (loc - other_loc).square() * torch.exp(-log_mean_var)
     return 0.5 * (distance + log_mean_var - 0.5 * (log_var + other_log_var)).sum(-1)
-
-
-def _log_weight(
-    component_loc: Float[Tensor, "components dim"],
-    component_log_weight: Float[Tensor, " components"] | None,
-) -> Float[Tensor, " components"] | float:
-    """Log weights of the components, equal where none are given."""
-    if component_log_weight is None:
-        return -math.log(component_loc.shape[0])
-    return component_log_weight
 
 
 def _component_of(

@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Literal, Self, get_args
+from typing import Literal, get_args
 
 Shape = Literal["constant", "linear", "exponential", "plateaus"]
 NUM_PLATEAUS = 10  # temperatures at which annealing waits
@@ -46,7 +46,7 @@ class Schedule:
             )
 
     @classmethod
-    def parse(cls, text: str) -> Self:
+    def parse(cls, text: str) -> "Schedule":
         """Read `shape:first:last`.
 
         Raises:
@@ -62,7 +62,8 @@ class Schedule:
                 "a schedule must be written as shape:first:last, its shape one of "
                 f"{', '.join(get_args(Shape))}, got {text!r}."
             )
-        return cls(*values, shape=shape)  # type: ignore[arg-type]  # one of the shapes
+        last = values[1] if len(values) > 1 else None
+        return cls(values[0], last, shape)  # type: ignore[arg-type]  # one of the shapes
 
     def __str__(self) -> str:
         """As `parse` reads it."""

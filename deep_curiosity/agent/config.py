@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal, Self
+from typing import Literal
 
 from deep_curiosity.configuration import Group, setting
 from deep_curiosity.schedules import Schedule
@@ -38,7 +38,7 @@ class ConditionedHunger:
             raise ValueError(f"`hunger` must lie in [0, 1] where conditioned, got {self.value}.")
 
     @classmethod
-    def parse(cls, text: str) -> Self:
+    def parse(cls, text: str) -> "ConditionedHunger":
         """Read what `str` wrote.
 
         Raises:

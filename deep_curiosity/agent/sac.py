@@ -1,7 +1,7 @@
 """The curious agent: soft actor-critic with an action prior and a second value, of curiosity."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from copy import deepcopy
 from typing import Any, NamedTuple
 
@@ -71,6 +71,7 @@ class CuriousSAC(nn.Module):
     _fixed_coefficient: Tensor
     discounts: Tensor
     value_stds: Tensor
+    optimizers: Mapping[str, Adam]
 
     def __init__(
         self,
@@ -87,6 +88,8 @@ class CuriousSAC(nn.Module):
         self.action_dim = action_dim
         self.curiosity = curiosity
         self.is_conditioned = config.is_conditioned
+        self.tunes_temperature = config.tunes_temperature
+        self.actor_stride = config.actor_stride
         self.num_steps = config.reward.reward_steps, config.curiosity.steps
         """Steps that are summed in the target of each value."""
         self.has_curiosity_critic = curiosity and config.curiosity.discount > 0
@@ -130,7 +133,7 @@ class CuriousSAC(nn.Module):
             if isinstance(config.temperature, Schedule)
             else config.temperature
         )
-        self.optimizers = nn.ModuleDict(
+        self.optimizers = nn.ModuleDict(  # type: ignore[assignment]  # of Adams
             {
                 name: Adam(parameters, config.learning_rate)
                 for name, parameters in self._trained_parameters().items()
@@ -261,7 +264,8 @@ class CuriousSAC(nn.Module):
         sequences = as_sequences(batch)
         self._check_update(sequences, bonus)
         hunger = self._sample_hunger(sequences.steps.reward[: sequences.alive.shape[1]])
-        metrics = self._update_critics(sequences, bonus, hunger)
+        target = self._targets(sequences, bonus, hunger)
+        metrics = self._update_critics(sequences, target, hunger)
         sample, actor_metrics = self._update_actor(sequences, bonus, hunger)
         metrics |= actor_metrics | self._update_prior(sample) | self._update_temperature(sample)
         with torch.no_grad():  # Polyak averaging, all parameters in one call
@@ -319,10 +323,9 @@ class CuriousSAC(nn.Module):
         return (2 * torch.rand_like(like) - 0.5).clamp(0.0, 1.0)
 
     def _update_critics(
-        self, sequences: Sequences, bonus: Tensor | BonusFunction | None, hunger: Hunger
+        self, sequences: Sequences, target: Float[Tensor, "pairs batch"], hunger: Hunger
     ) -> dict[str, Tensor]:
-        """Step the critics towards targets of as many steps as each value sums."""
-        target = self._targets(sequences, bonus, hunger)
+        """Step the critics towards the targets."""
         batch = sequences.alive.shape[1]
         observation, action, *_ = sequences.steps
         policy_input = self.policy_input(observation[:batch], hunger)
@@ -341,7 +344,10 @@ class CuriousSAC(nn.Module):
     def _targets(
         self, sequences: Sequences, bonus: Tensor | BonusFunction | None, hunger: Hunger
     ) -> Float[Tensor, "pairs batch"]:
-        """Targets of the reward's value and, where it is learned, of the curiosity value."""
+        """Targets of the reward's value and, where it is learned, of the curiosity value.
+
+        Each sums as many steps as are its own.
+        """
         rewards = self._rewards(sequences.steps, bonus).unflatten(-1, sequences.alive.shape)
         targets = {}
         for num_steps in sorted(set(self.num_steps[: len(rewards)])):
@@ -385,7 +391,7 @@ class CuriousSAC(nn.Module):
         self, sequences: Sequences, bonus: Tensor | BonusFunction | None, hunger: Hunger
     ) -> tuple[PolicySample, dict[str, Tensor]]:
         """Step the policy on a part of the batch; return its sample and what to log."""
-        rows = slice(None, sequences.alive.shape[1], self.config.actor_stride)
+        rows = slice(None, sequences.alive.shape[1], self.actor_stride)
         observation = sequences.steps.observation[rows]
         hunger = hunger[rows] if hunger.ndim else hunger
         policy = self.policy(self.policy_input(observation, hunger))
@@ -461,7 +467,7 @@ class CuriousSAC(nn.Module):
             "information_rate": rate.mean(),
             "temperature": self.log_temperature.detach().exp(),
         }
-        if self.config.tunes_temperature:
+        if self.tunes_temperature:
             loss = temperature_loss(self.log_temperature, rate, self.target_information_rate)
             self.optimizers["temperature"].step(loss)
         return metrics
@@ -471,7 +477,7 @@ class CuriousSAC(nn.Module):
             "policy": list(self.policy.parameters()),
             "critics": list(self.critics.parameters()),
             "prior": list(self.prior.parameters()),
-            "temperature": [self.log_temperature] if self.config.tunes_temperature else [],
+            "temperature": [self.log_temperature] if self.tunes_temperature else [],
         }
         return {name: own for name, own in parameters.items() if own}
 

@@ -326,17 +326,14 @@ class CuriosityBonus(Bonus):
         with frozen(self.dynamics):
             return self._of_interest(self.dynamics(observation, action))
 
-    def _predict_round_robin(self, observation: Tensor, action: Tensor) -> DiagonalMixture:
-        """Prediction of each pair by one member, `(1, batch)`."""
-        with frozen(self.dynamics):
-            return self._of_interest(self.dynamics.round_robin(observation, action))
-
     def _score(self, observation: Tensor, action: Tensor) -> Float[Tensor, " batch"]:
         """Raw reward in nats, by all members or by one for each pair."""
         if self.dynamics.members == "all" or self.coefficients.information_gain:
             return self._weigh(self._predict(observation, action))
         self._check_question(observation, action)
-        return self._weigh(self._predict_round_robin(observation, action))
+        with frozen(self.dynamics):
+            prediction = self.dynamics.round_robin(observation, action)
+        return self._weigh(self._of_interest(prediction))
 
     def _weigh(self, prediction: DiagonalMixture) -> Float[Tensor, " batch"]:
         """Weighted sum of the parts that are rewarded, in nats; no other part is computed."""
@@ -369,7 +366,7 @@ class CuriosityBonus(Bonus):
 
     def _refresh(self, transition: Transition, fresh: Transition) -> None:
         """Renew the marginal's components, the standardisation and the probes."""
-        round_robin = self._predict_round_robin(fresh.observation, fresh.action)
+        round_robin = self._of_interest(self.dynamics.round_robin(fresh.observation, fresh.action))
         predicted = DiagonalMixture(*(field.squeeze(0) for field in round_robin))
         self.marginal.refresh(*predicted.select(sample_index(predicted.log_weight)))
         observation, action = transition.observation, transition.action

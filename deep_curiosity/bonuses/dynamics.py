@@ -138,9 +138,12 @@ class DynamicsEnsemble(nn.Module):
         """Whitened next state by one member for each row, `r % num_members`: `(1, batch)`."""
         batch = observation.shape[0]
         row, _ = assign_rows(batch, self.num_members, observation.device)
-        assigned = self(observation[row], action[row])  # members rows ...
-        fields = (restore_order(field, batch).unsqueeze(0) for field in assigned)
-        return DiagonalMixture(*fields)
+        loc, log_var, log_weight = self(observation[row], action[row])  # members rows ...
+        return DiagonalMixture(
+            restore_order(loc, batch).unsqueeze(0),
+            restore_order(log_var, batch).unsqueeze(0),
+            restore_order(log_weight, batch).unsqueeze(0),
+        )
 
     def loss(self, transition: Transition) -> Float[Tensor, ""]:
         """Negative log-likelihood of the whitened change, in nats, summed over members.
@@ -154,9 +157,8 @@ class DynamicsEnsemble(nn.Module):
         num_trained = (~held_out).sum().clamp(min=1)
         if self.members == "round_robin":
             row, once = assign_rows(observation.shape[0], self.num_members, observation.device)
-            observation, action, next_observation, held_out = (
-                field[row] for field in (observation, action, next_observation, held_out)
-            )
+            observation, action = observation[row], action[row]
+            next_observation, held_out = next_observation[row], held_out[row]
             weight = (once & ~held_out) * float(self.num_members)
         else:
             ones = observation.new_ones(self.num_members, *held_out.shape)

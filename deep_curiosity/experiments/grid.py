@@ -1,215 +1,150 @@
-"""Studies: many runs side by side, one table and one picture of them."""
+"""Running a study: tasks x agents x seeds in, one or several rows for each run out."""
 
-import csv
-import json
 import math
-import statistics
-from collections.abc import Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, replace
+import sys
+from collections.abc import Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from deep_curiosity.experiments.figures import plot_columns, plot_curves
+from deep_curiosity.experiments.runs import find_finished, finished_key, run_own
+from deep_curiosity.experiments.statistics import probability_of_improvement
+from deep_curiosity.experiments.study import Cell, Result, Row, Study
+from deep_curiosity.experiments.tables import markdown_table, select, summarize, write_table
 
-from deep_curiosity.training.loop import train
-from deep_curiosity.training.log import CONFIG, SUMMARY, config_key, read_progress
-from deep_curiosity.training.config import Settings
-
-RESULT_COLUMNS = (
-    "task",
-    "agent",
-    "seed",
-    "solved",
-    "evaluation_return",
-    "training_return",
-    "mean_training_return",
-    "success_rate",
-    "first_success_step",
-    "coverage",
-    "total_steps",
-    "steps_per_second",
-    "wall_seconds",
-)
-SUMMARIZED = ("evaluation_return", "mean_training_return", "first_success_step")
-CURVE_COLUMNS = ("task", "agent", "seed", "step", "evaluation_return")
-EVALUATION_TAG = "eval/return"
+MANY_TO_COMPARE = 12  # agents: a table of all pairs would be longer than anyone reads
 
 
-@dataclass(frozen=True)
-class Task:
-    """A task of a study, and when it counts as solved.
+def overridden(study: Study, values: dict[str, Any]) -> Study:
+    """The same study with settings of all its runs changed, by their flat names."""
+    tasks = [replace(task, config=task.config.override(**values)) for task in study.tasks]
+    return replace(study, tasks=tasks)
 
-    Args:
-        name: In tables and pictures.
-        settings: Of its runs, but for what an agent changes and the seed.
-        solved_return: Evaluation return from which a run counts as solved.
+
+def cells_of(study: Study, runs: Path) -> list[Cell]:
+    """All runs of a study, seed by seed, each with its folder below `runs`.
+
+    A run of the same settings that lies anywhere beside or below `runs` is used where it lies.
     """
-
-    name: str
-    settings: Settings
-    solved_return: float
+    cells = [
+        Cell(study, task, agent, seed, runs / task.name / f"{agent}" / f"seed{seed}")
+        for seed in range(study.seeds)
+        for task in study.tasks
+        for agent in study.agents
+    ]
+    if study.run is not run_own:
+        return cells
+    finished = find_finished(runs.parent)
+    return [
+        replace(cell, folder=finished.get(finished_key(cell.config), cell.folder))
+        for cell in cells
+    ]
 
 
 def run_study(
-    tasks: Sequence[Task],
-    agents: Mapping[str, Mapping[str, Any]],
-    *,
-    seeds: Sequence[int],
-    runs: Path,
-    out: Path,
-    workers: int = 2,
-) -> list[dict[str, Any]]:
-    """Train every agent on every task with every seed, and write tables, curves and picture.
+    study: Study, *, runs: Path, out: Path, workers: int = 2, executor: Executor | None = None
+) -> int:
+    """Run every cell, and write tables, curves, summary and figure as far as they come.
 
-    A run whose folder holds a summary is not run again; one that was cut off is merge_config. Where a
-    folder holds a run of other settings, a FileExistsError names them.
+    A run that is finished is read, one that was cut off is continued; one whose folder holds a run
+    of other settings, or that raises, is listed as failed, and the others go on.
 
     Args:
-        tasks: What is to be learned.
-        agents: Name of each agent to the settings it changes.
-        seeds: The same for all, so that agents are paired.
+        study: What is run.
         runs: Folder that receives the folders of the runs.
         out: Path without suffix of the table (.csv), the curves (_curves.csv), the summary (.md)
-            and the picture (.png).
-        workers: Processes at a time.
+            and the figure (.png).
+        workers: Processes at a time, where no executor is given.
+        executor: Anything of `concurrent.futures`, such as Dask's or Ray's.
 
     Returns:
-        One row of `RESULT_COLUMNS` for each run.
+        Number of runs that failed.
     """
-    cells = [(task, agent, seed) for seed in seeds for task in tasks for agent in agents]
-    folders = [runs / task.name / agent / f"seed{seed}" for task, agent, seed in cells]
-    jobs = [
-        replace(task.settings, **agents[agent], seed=seed, out=folder)
-        for (task, agent, seed), folder in zip(cells, folders, strict=True)
-    ]
+    cells = cells_of(study, runs)
+    results: dict[int, Result] = {}
+    failures: list[str] = []
+    with _executor(executor, workers) as pool:
+        futures = {pool.submit(study.run, cell): number for number, cell in enumerate(cells)}
+        for future in as_completed(futures):
+            cell = cells[futures[future]]
+            try:
+                results[futures[future]] = future.result()
+            except Exception as error:  # whatever a run raises, the others go on
+                where = f"{cell.task.name}, {cell.agent}, seed {cell.seed}"
+                failures.append(f"{where}: {type(error).__name__}: {error}")
+                print(f"failed: {failures[-1]}", file=sys.stderr, flush=True)
+            else:
+                print(f"{len(results)} of {len(cells)} runs", flush=True)
+    if results:
+        rows, curves = collect(cells, results)
+        report(study, rows, curves, failures, out)
+    return len(failures)
+
+
+@contextmanager
+def _executor(executor: Executor | None, workers: int) -> Iterator[Executor]:
+    """The caller's own executor, which is left open, or processes of this machine."""
+    if executor is not None:
+        yield executor
+        return
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        summaries = list(pool.map(run_once, jobs))
-    rows, curves = [], []
-    for (task, agent, seed), folder, summary in zip(cells, folders, summaries, strict=True):
-        cell = {"task": task.name, "agent": agent, "seed": seed}
-        solved = summary["evaluation_return"] >= task.solved_return
-        rows.append(cell | {"solved": int(solved)} | _only(summary, RESULT_COLUMNS[4:]))
-        curves += [
-            cell | {"step": row["step"], "evaluation_return": row[EVALUATION_TAG]}
-            for row in read_progress(folder)
-        ]
-    out.parent.mkdir(parents=True, exist_ok=True)
-    write_table(out.with_suffix(".csv"), RESULT_COLUMNS, rows)
-    write_table(out.with_name(f"{out.name}_curves.csv"), CURVE_COLUMNS, curves)
-    out.with_suffix(".md").write_text(summarize(rows))
-    draw_curves(out.with_suffix(".png"), tasks, list(agents), rows, curves)
-    return rows
+        yield pool
 
 
-def summarize(rows: Sequence[Mapping[str, Any]]) -> str:
-    """Markdown table: seeds solved, and median and range over seeds of what counts."""
-    header = ["task", "agent", "seeds solved", *(name.replace("_", " ") for name in SUMMARIZED)]
-    lines = []
-    for task, agent in dict.fromkeys((row["task"], row["agent"]) for row in rows):
-        own = [row for row in rows if (row["task"], row["agent"]) == (task, agent)]
-        solved = f"{sum(row['solved'] for row in own)} of {len(own)}"
-        spreads = [median_and_range([row[name] for row in own]) for name in SUMMARIZED]
-        lines.append([task, agent, solved, *spreads])
-    return markdown_table(header, lines) + "\n"
+def collect(cells: Sequence[Cell], results: dict[int, Result]) -> tuple[list[Row], list[Row]]:
+    """Rows of the table and of the curves, in the order of the cells."""
+    rows: list[Row] = []
+    curves: list[Row] = []
+    for number, result in sorted(results.items()):
+        cell = cells[number]
+        key = {"task": cell.task.name, cell.study.label: cell.agent, "seed": cell.seed}
+        for measured in result.rows:
+            score = measured.get("evaluation_return", math.nan)
+            needed = cell.task.solved_return
+            known = not (math.isnan(score) or math.isnan(needed))
+            solved = {"solved": int(score >= needed) if known else ""}
+            rows.append(key | solved | measured | result.origin)
+        curves += [key | point for point in result.curve]
+    return rows, curves
 
 
-def markdown_table(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    """Table in Markdown."""
-    return "\n".join(f"| {' | '.join(line)} |" for line in (header, ["---"] * len(header), *lines))
-
-
-def median_and_range(values: Sequence[float | int | None]) -> str:
-    """`median [lowest, highest]`; a value that is missing counts as never, above all others."""
-    known = sorted(math.inf if value is None else float(value) for value in values)
-    shown = [_or_never(value) for value in (statistics.median(known), known[0], known[-1])]
-    return "{} [{}, {}]".format(*shown)
-
-
-def _or_never(value: float) -> str:
-    return f"{value:.4g}" if math.isfinite(value) else "never"
-
-
-def write_table(path: Path, columns: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write rows as CSV, numbers to six digits."""
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(columns)
-        writer.writerows([[_short(row[name]) for name in columns] for row in rows])
-
-
-def draw_curves(
-    path: Path,
-    tasks: Sequence[Task],
-    agents: Sequence[str],
-    rows: Sequence[Mapping[str, Any]],
-    curves: Sequence[Mapping[str, Any]],
+def report(
+    study: Study, rows: list[Row], curves: list[Row], failures: Sequence[str], out: Path
 ) -> None:
-    """One panel for each task: median evaluation return of each agent, and the range of seeds."""
-    figure = Figure(figsize=(5.2 * len(tasks), 4), layout="constrained")
-    for axes, task in zip(figure.subplots(1, len(tasks), squeeze=False)[0], tasks, strict=True):
-        for agent in agents:
-            own = [row for row in rows if (row["task"], row["agent"]) == (task.name, agent)]
-            label = f"{agent} ({sum(row['solved'] for row in own)}/{len(own)} solved)"
-            _draw_agent(axes, task.name, agent, label, curves)
-        axes.axhline(task.solved_return, color="grey", linestyle=":", label="solved")
-        axes.set(title=task.name, xlabel="environment step", ylabel="evaluation return")
-        axes.legend(fontsize=8)
-    figure.savefig(path, dpi=120)
+    """Write table, curves, summary and figure of what was measured."""
+    write_table(out.with_suffix(".csv"), rows)
+    if study.curves:
+        write_table(out.with_name(f"{out.name}_curves.csv"), curves)
+        plot_curves(out.with_suffix(".png"), study, rows, curves)
+    else:
+        plot_columns(out.with_suffix(".png"), study, rows)
+    failed = [f"- failed: {failure}" for failure in failures]
+    summary = "\n".join([summarize(study, rows), *compare(study, rows), *failed])
+    out.with_suffix(".md").write_text(summary.rstrip("\n") + "\n")
+    print(summary)
 
 
-def _draw_agent(
-    axes: Axes, task: str, agent: str, label: str, curves: Sequence[Mapping[str, Any]]
-) -> None:
-    own = [row for row in curves if (row["task"], row["agent"]) == (task, agent)]
-    steps = sorted({int(row["step"]) for row in own})
-    returns = np.array(
-        [[float(r["evaluation_return"]) for r in own if int(r["step"]) == step] for step in steps]
-    )
-    color = axes.plot(steps, np.median(returns, axis=1), label=label)[0].get_color()
-    axes.fill_between(steps, returns.min(1), returns.max(1), color=color, alpha=0.15)
-
-
-def run_once(settings: Settings) -> dict[str, Any]:
-    """Summary of a run: read where it is finished, merge_config or begun where it is not.
-
-    Raises:
-        FileExistsError: If the folder holds a run of other settings.
-    """
-    if not (settings.out / CONFIG).exists():
-        return train(settings, show_progress=False)
-    there, here = config_key(settings.out), config_key(settings)
-    differing = {name for name in there.keys() | here.keys() if there.get(name) != here.get(name)}
-    if others := sorted(differing - {"total_steps"}):
-        raise FileExistsError(
-            f"`out` must hold no run of other settings, got {settings.out}, which differs in "
-            f"{', '.join(others)}; move it away or choose another folder."
-        )
-    path = settings.out / SUMMARY
-    if path.exists():
-        summary: dict[str, Any] = json.loads(path.read_text())
-        if summary["total_steps"] >= settings.total_steps:
-            return summary
-    return train(replace(settings, resume=settings.out), show_progress=False)
-
-
-def find_finished(jobs: Sequence[Settings], runs: Path) -> list[Settings]:
-    """The same jobs, those that lie somewhere below a folder already in their places there."""
-    lying = [(config_key(path.parent), path.parent) for path in sorted(runs.rglob(CONFIG))]
-
-    def place(job: Settings) -> Path:
-        own = config_key(job)
-        return next((folder for other, folder in lying if other == own), job.out)
-
-    return [replace(job, out=place(job)) for job in jobs]
-
-
-def _only(values: Mapping[str, Any], names: Sequence[str]) -> dict[str, Any]:
-    return {name: values[name] for name in names}
-
-
-def _short(value: Any) -> Any:
-    return f"{value:.6g}" if isinstance(value, float) else value
+def compare(study: Study, rows: Sequence[Row]) -> list[str]:
+    """Markdown: the chance that the first agent beats each of the others, over all tasks."""
+    first, *others = study.agents
+    if not others or len(others) > MANY_TO_COMPARE or study.label != "agent":
+        return []
+    column = study.columns[0]
+    groups = {
+        agent: [select(rows, column, task=task.name, agent=agent) for task in study.tasks]
+        for agent in study.agents
+    }
+    complete = [
+        agent
+        for agent in others
+        if [*map(len, groups[agent])] == [*map(len, groups[first])] and all(groups[agent])
+    ]
+    lines = [
+        [str(agent), str(probability_of_improvement(groups[first], groups[agent]))]
+        for agent in complete
+    ]
+    return [markdown_table([f"{first} better than", f"probability, by {column}"], lines), ""]

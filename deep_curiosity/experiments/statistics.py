@@ -1,97 +1,102 @@
-"""Many agents on several tasks: a table and a picture with confidence intervals."""
+"""Statistics over seeds and tasks, with intervals by the bootstrap.
 
-from collections.abc import Mapping, Sequence
-from pathlib import Path
-from typing import Any
+Reference: Agarwal et al., "Deep Reinforcement Learning at the Edge of the Statistical Precipice"
+(2021), https://arxiv.org/abs/2108.13264; sections 4.1 and 4.3.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
-from deep_curiosity.experiments.grid import Task, markdown_table
-
-DRAWS = 10_000  # of the bootstrap
+NUM_RESAMPLES = 10_000
 LEVEL = 0.95
-Interval = tuple[float, float, float]
-"""A mean and the ends of its confidence interval."""
+Statistic = Callable[[np.ndarray], np.ndarray]
+"""From values along the last axis to one number."""
+Groups = Sequence[Sequence[float]]
+"""Values of one agent's runs, a group for each task, in the order of the seeds."""
 
 
-def bootstrap(groups: Sequence[Sequence[float]], *, seed: int = 0) -> Interval:
-    """Mean over groups of their means, and its 95 % interval by drawing runs anew in each group.
+class Estimate(NamedTuple):
+    """A statistic and the ends of its confidence interval."""
 
-    Args:
-        groups: Values of one agent's runs, a group for each task, so that no draw misses a task.
-        seed: Of the draws.
+    value: float
+    low: float
+    high: float
 
-    Reference: Agarwal et al., "Deep Reinforcement Learning at the Edge of the Statistical
-    Precipice" (2021), https://arxiv.org/abs/2108.13264; section 4.1.
+    def __str__(self) -> str:
+        """As tables show it."""
+        return f"{self.value:.4g} [{self.low:.4g}, {self.high:.4g}]"
+
+
+def interquartile_mean(values: np.ndarray) -> np.ndarray:
+    """Mean of the middle half of the values along the last axis.
+
+    Example:
+        >>> float(interquartile_mean(np.array([0.0, 1.0, 3.0, 100.0])))
+        2.0
     """
+    cut = values.shape[-1] // 4
+    ordered = np.sort(values, axis=-1)
+    middle: np.ndarray = ordered[..., cut : values.shape[-1] - cut].mean(-1)
+    return middle
+
+
+def bootstrap(
+    groups: Groups, statistic: Statistic = interquartile_mean, *, seed: int = 0
+) -> Estimate:
+    """A statistic over all runs, with its 95 % interval: runs are resampled within each task.
+
+    Raises:
+        ValueError: If a group is empty.
+    """
+    _check_groups(groups)
     random = np.random.default_rng(seed)
-    means = [
-        np.take(group, random.integers(len(group), size=(DRAWS, len(group)))).mean(1)
-        for group in groups
+    arrays = [np.asarray(group, dtype=float) for group in groups]
+    resampled = [
+        group[random.integers(len(group), size=(NUM_RESAMPLES, len(group)))] for group in arrays
     ]
-    low, high = np.quantile(np.mean(means, axis=0), [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
-    return float(np.mean([np.mean(group) for group in groups])), float(low), float(high)
+    low, high = _interval(statistic(np.concatenate(resampled, axis=1)))
+    return Estimate(float(statistic(np.concatenate(arrays))), low, high)
 
 
-def compare(tasks: Sequence[Task], rows: Sequence[Mapping[str, Any]]) -> str:
-    """Markdown table: for each agent the share of runs that solve, and the return on each task."""
-    names = [task.name for task in tasks]
-    header = ["agent", "runs solved", *(f"{name}: return, solved" for name in names)]
-    lines = []
-    for agent in _by_solved(tasks, rows):
-        solved = [_values(rows, name, agent, "solved") for name in names]
-        cells = [
-            f"{_shown(bootstrap([_values(rows, name, agent, 'evaluation_return')]), '.3g')}, "
-            f"{sum(own):.0f} of {len(own)}"
-            for name, own in zip(names, solved, strict=True)
-        ]
-        lines.append([agent, _shown(bootstrap(solved), ".0%"), *cells])
-    return markdown_table(header, lines) + "\n"
+def probability_of_improvement(first: Groups, second: Groups, *, seed: int = 0) -> Estimate:
+    """Chance that a run of the first agent beats one of the second, on a task drawn at random.
+
+    Ties count half. The two are paired by seed, so seeds are resampled for both at once.
+
+    Raises:
+        ValueError: If the agents do not have the same tasks and seeds.
+    """
+    if [*map(len, first)] != [*map(len, second)]:
+        raise ValueError(
+            "`first` and `second` must have the same tasks and seeds, "
+            f"got {[*map(len, first)]} and {[*map(len, second)]} runs."
+        )
+    _check_groups(first)
+    random = np.random.default_rng(seed)
+    values, resampled = [], []
+    for one, other in zip(first, second, strict=True):
+        wins = np.sign(np.subtract.outer(one, other)) / 2 + 0.5  # seeds seeds
+        drawn = random.integers(len(wins), size=(NUM_RESAMPLES, len(wins)))
+        resampled.append(wins[drawn[:, :, None], drawn[:, None, :]].mean((1, 2)))
+        values.append(wins.mean())
+    return Estimate(float(np.mean(values)), *_interval(np.mean(resampled, axis=0)))
 
 
-def draw_comparison(path: Path, tasks: Sequence[Task], rows: Sequence[Mapping[str, Any]]) -> None:
-    """One panel for the share of runs that solve, and one for the returns on each task."""
-    agents = _by_solved(tasks, rows)[::-1]
-    figure = Figure(figsize=(3.4 * (len(tasks) + 1), 0.7 + 0.38 * len(agents)), layout="tight")
-    overall, *panels = figure.subplots(1, len(tasks) + 1, sharey=True)
-    solved = [[_values(rows, task.name, agent, "solved") for task in tasks] for agent in agents]
-    _draw_intervals(overall, [bootstrap(groups) for groups in solved])
-    overall.set(title="share of runs that solve", xlim=(-0.03, 1.03))
-    overall.set_yticks(range(len(agents)), agents)
-    for axes, task in zip(panels, tasks, strict=True):
-        returns = [_values(rows, task.name, agent, "evaluation_return") for agent in agents]
-        _draw_intervals(axes, [bootstrap([own]) for own in returns])
-        for place, own in enumerate(returns):
-            axes.plot(own, np.full(len(own), place), ".", color="grey", alpha=0.5)
-        axes.axvline(task.solved_return, color="grey", linestyle=":")
-        axes.set(title=task.name, xlabel="evaluation return")
-    figure.savefig(path, dpi=120)
+def rank_correlation(first: Sequence[float], second: Sequence[float]) -> float:
+    """Spearman's correlation of two sequences without ties."""
+    ranks = np.array([np.argsort(np.argsort(values)) for values in (first, second)])
+    return float(np.corrcoef(ranks)[0, 1])
 
 
-def _by_solved(tasks: Sequence[Task], rows: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Agents in the order of the share of runs that solve, the best first."""
-    agents = list(dict.fromkeys(row["agent"] for row in rows))
-    shares = {
-        agent: np.mean([np.mean(_values(rows, task.name, agent, "solved")) for task in tasks])
-        for agent in agents
-    }
-    return sorted(agents, key=lambda agent: -shares[agent])
+def _check_groups(groups: Groups) -> None:
+    if not groups or not all(map(len, groups)):
+        raise ValueError(
+            f"`groups` must hold at least one run of each task, got {[*map(len, groups)]}."
+        )
 
 
-def _draw_intervals(axes: Axes, intervals: Sequence[Interval]) -> None:
-    mean, low, high = np.array(intervals).T
-    place = np.arange(len(mean))
-    axes.hlines(place, low, high, color="tab:blue", linewidth=3, alpha=0.5)
-    axes.plot(mean, place, "o", color="tab:blue")
-    axes.grid(axis="x", alpha=0.3)
-
-
-def _values(rows: Sequence[Mapping[str, Any]], task: str, agent: str, column: str) -> list[float]:
-    return [float(row[column]) for row in rows if (row["task"], row["agent"]) == (task, agent)]
-
-
-def _shown(interval: Interval, number_format: str) -> str:
-    mean, low, high = (format(value, number_format) for value in interval)
-    return f"{mean} [{low}, {high}]"
+def _interval(resampled: np.ndarray) -> tuple[float, float]:
+    low, high = np.quantile(resampled, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    return float(low), float(high)

@@ -24,8 +24,8 @@ class Integration(ABC):
         The agent's own random numbers are seeded alike, so that the same agent collects the same.
 
         Returns:
-            What the environment gave, in the order of storing: the reward raw, the successor true
-            also where an episode ended, actions in [-1, 1].
+            What the environment gave, in the order of storing: the reward raw, the next
+            observation the true one also where an episode ended, actions in [-1, 1].
         """
 
     @abstractmethod
@@ -36,7 +36,7 @@ class Integration(ABC):
     def learn(self, *, seed: int) -> None:
         """Update critic and actor from what is stored, once each or some times.
 
-        Seeds all random numbers that are drawn, so that the same agent learns the same.
+        Seeds all random numbers, so that the same agent learns the same.
         """
 
     @abstractmethod

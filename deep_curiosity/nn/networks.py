@@ -52,13 +52,17 @@ class StackedMLP(nn.Module):
         out_features: Size of each output.
     """
 
+    layers: Sequence[StackedLinear]
+
     def __init__(
         self, members: int, in_features: int, hidden_dims: Sequence[int], out_features: int
     ) -> None:
         super().__init__()
         widths = [in_features, *hidden_dims, out_features]
         self.members = members
-        self.layers = nn.ModuleList(StackedLinear(members, *pair) for pair in pairwise(widths))
+        self.layers = nn.ModuleList(  # type: ignore[assignment]  # of linear layers
+            StackedLinear(members, *pair) for pair in pairwise(widths)
+        )
 
     def forward(
         self,
@@ -67,9 +71,10 @@ class StackedMLP(nn.Module):
         """Apply every member to one shared batch, or each member to its own."""
         if value.ndim == 2:
             value = value.repeat(self.members, 1, 1)  # a product would copy what is expanded
-        for layer in self.layers[:-1]:
-            value = torch.relu(layer(value))
-        return self.layers[-1](value)
+        for layer in self.layers[:-1]:  # written out, as it is done most often of all
+            value = torch.relu(torch.bmm(value, layer.weight) + layer.bias)
+        output: Tensor = self.layers[-1](value)
+        return output
 
     def hidden(
         self,

@@ -155,11 +155,11 @@ def seal_modules(owner: object) -> None:
     for module in held:
         if isinstance(module, nn.Module):
             for part in module.modules():
-                part.__class__ = _sealed(type(part))
+                part.__class__ = _sealed(type(part))  # type: ignore[arg-type]
 
 
 @cache
-def _sealed(kind: type[nn.Module]) -> type[nn.Module]:
+def _sealed(kind: Any) -> Any:
     """A class like another whose instances refuse to have plain public attributes set."""
     if hasattr(kind, "_sealed_from"):
         return kind

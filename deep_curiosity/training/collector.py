@@ -25,7 +25,7 @@ class Episode(NamedTuple):
     episode_return: float = 0.0
     length: int = 0
     success: float = math.nan
-    """1 once `info["is_success"]` was true, 0 while it is not; NaN where there is no such entry."""
+    """1 once `info["is_success"]` was true, else 0; NaN where there is no such entry."""
 
 
 class Step(NamedTuple):

@@ -91,9 +91,9 @@ def parse(arguments: Sequence[str] | None = None, *, description: str) -> Comman
 
 def _peek(arguments: list[str], flag: str) -> str | None:
     """Value of a flag, before all are read."""
-    for argument, following in zip(arguments, [*arguments[1:], None], strict=True):
+    for argument, value in zip(arguments, [*arguments[1:], None], strict=True):
         if argument == flag:
-            return following
+            return value
         if argument.startswith(f"{flag}="):
             return argument.partition("=")[2]
     return None
@@ -168,3 +168,21 @@ def _comments(owner: type) -> dict[str, str]:
 def help_of(each: Setting) -> str:
     """What the comment of a setting says."""
     return _comments(each.owner)[each.field]
+
+
+def read_settings(pairs: Sequence[str]) -> dict[str, Any]:
+    """Settings written as `name=value`, each value as Python or as text.
+
+    Raises:
+        ValueError: If one is not written so.
+    """
+    values: dict[str, Any] = {}
+    for pair in pairs:
+        name, separator, text = pair.partition("=")
+        if not separator:
+            raise ValueError(f"a setting must be written as name=value, got {pair!r}.")
+        try:
+            values[name] = ast.literal_eval(text)
+        except (SyntaxError, ValueError):
+            values[name] = text
+    return values

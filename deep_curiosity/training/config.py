@@ -4,7 +4,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Any, Literal, Self
+from typing import Any, Literal
 
 import torch
 
@@ -110,8 +110,8 @@ class Config(Group):
             )
         if self.run.exploration != "policy" and self.agent.mixture_components > 1:
             raise ValueError(
-                "`exploration` must be 'policy' for a policy of "
-                f"{self.agent.mixture_components} mixture components, got {self.run.exploration!r}."
+                f"`exploration` must be 'policy' for a policy of {self.agent.mixture_components} "
+                f"mixture components, got {self.run.exploration!r}."
             )
         if self.agent.curiosity.discount == 0 and self.bonus.scores_outcomes:
             raise ValueError(
@@ -122,7 +122,7 @@ class Config(Group):
         _refuse_idle_settings(self)
 
     @classmethod
-    def of(cls, preset: str = "fast", **values: Any) -> Self:
+    def of(cls, preset: str = "fast", **values: Any) -> "Config":
         """The default configuration with some settings changed, by their flat names.
 
         Args:
@@ -135,7 +135,7 @@ class Config(Group):
         """
         return cls().override(preset, **values)
 
-    def override(self, preset: str = "fast", **values: Any) -> Self:
+    def override(self, preset: str = "fast", **values: Any) -> "Config":
         """The same configuration with some settings changed, as in `of`."""
         kind = values.pop("bonus", self.bonus)
         config = self if kind == self.bonus else replace(self, bonus=_switched(self.bonus, kind))
@@ -149,7 +149,7 @@ class Config(Group):
         return settings | {"bonus": self.bonus.kind}
 
     @classmethod
-    def from_json(cls, values: Mapping[str, Any], source: str = "config.json") -> Self:
+    def from_json(cls, values: Mapping[str, Any], source: str = "config.json") -> "Config":
         """Read what `to_json` gave.
 
         Raises:

@@ -1,4 +1,4 @@
-"""Environments the agent can live in: found by id, checked at the door, brought to one form."""
+"""Environments that the agent can act in: found by id, checked, brought to one form."""
 
 import difflib
 import multiprocessing
@@ -57,7 +57,7 @@ def make_environment(
 def make_vector_environment(
     config: EnvironmentConfig,
 ) -> VectorEnv[np.ndarray, np.ndarray, np.ndarray]:
-    """Make several environments as `make_environment` does, which reset only when told to.
+    """Make several environments as `make_environment` does, without autoreset.
 
     Raises:
         ValueError: If a native environment is wanted where there is none, or `make_environment`
@@ -84,13 +84,14 @@ def _make_vector(config: EnvironmentConfig) -> VectorEnv[np.ndarray, np.ndarray,
     if config.vectorization == "sync" or not has_native:
         makers = [partial(make_environment, config)] * config.num_envs
         return SyncVectorEnv(makers, autoreset_mode=AutoresetMode.DISABLED)
+    env_kwargs: dict[str, Any] = dict(config.env_kwargs)
     try:
         return gymnasium.make_vec(
             env_id,
             config.num_envs,
             "vector_entry_point",
             autoreset_mode=AutoresetMode.DISABLED,
-            **config.env_kwargs,
+            **env_kwargs,
         )
     except TypeError as error:
         raise ValueError(
@@ -124,7 +125,7 @@ def num_cells(environment: gymnasium.Env) -> int | None:
 
 
 def picture_features(config: EnvironmentConfig) -> tuple[int, int]:
-    """Two entries of the observation that tell most when drawn against each other.
+    """Two entries of the observation that say most when plotted against each other.
 
     Tasks name them in `metadata["picture_features"]`; otherwise the first and the last are taken.
     With a frame stack they are entries of its newest observation, the last of the stack.
@@ -182,7 +183,7 @@ def _require_shimmy() -> None:
 
 
 class _TerminationIsSuccess(gymnasium.Wrapper):
-    """Says in `info["is_success"]` that the goal was reached."""
+    """Reports in `info["is_success"]` that the goal was reached."""
 
     def step(self, action: np.ndarray) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         observation, reward, terminated, truncated, info = self.env.step(action)

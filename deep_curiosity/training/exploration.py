@@ -77,7 +77,7 @@ class OrnsteinUhlenbeckNoise(Noise):
 
 
 class StateDependentNoise(Noise):
-    """Noise that is a linear function of the policy's last hidden layer, sampled anew now and then.
+    """Noise that is a linear function of the policy's last hidden layer, resampled now and then.
 
     Like states are pushed alike, so that noise is smooth where the policy is. Of the original the
     dependence is kept, and the policy's own standard deviation in the place of learned ones.

@@ -50,7 +50,7 @@ class VectorFrameStack(VectorWrapper):
     """Shows a window of every environment, each as `FrameStack` would.
 
     Args:
-        env: Its autoreset is disabled, so that an episode begins only when it is told to.
+        env: Its autoreset is disabled, so that episodes begin only when it is reset.
         num_frames: Observations in a window; actions are one fewer.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Who says how hungry the agent is, from step to step: the clock, a function, chance, or a bandit.
+"""Hunger from step to step, set by the clock, a function, chance, or a bandit.
 
 Hunger is the weight of reward. Where the agent is conditioned on it, it lies in [0, 1], and
 curiosity has the rest.
@@ -32,7 +32,7 @@ number or `(num_envs,)`."""
 
 
 class HungerController(abc.ABC):
-    """Says how hungry the agent is in each environment before a step, and records what came of it."""
+    """Sets the hunger in each environment before a step, and records what the step brought."""
 
     @abc.abstractmethod
     def hunger(self, step: int, observation: np.ndarray, info: Info) -> np.ndarray:
@@ -48,16 +48,14 @@ class HungerController(abc.ABC):
         """Hunger while the agent is evaluated: by default all for reward."""
         return np.ones(len(observation))
 
-    def record(  # noqa: B027  most do not look
-        self, reward: np.ndarray, ended: np.ndarray
-    ) -> None:
-        """Record the newest step of each environment: its reward, and whether it ended the episode."""
+    def record(self, reward: np.ndarray, ended: np.ndarray) -> None:  # noqa: B027  most ignore it
+        """Record the newest step of each environment: its reward, and whether an episode ended."""
 
     def state_dict(self) -> dict[str, Any]:
         """What a resumed run must know."""
         return {}
 
-    def load_state_dict(self, state: dict[str, Any]) -> None:  # noqa: B027  most update_statistics nothing
+    def load_state_dict(self, state: dict[str, Any]) -> None:  # noqa: B027  most have no state
         """Restore what `state_dict` gave."""
 
 
@@ -180,8 +178,8 @@ class BanditHunger(HungerController):
 
     An arm is held for a segment of steps. Its score is the mean reward per step of its segments
     within memory, brought to [0, 1] by the least and the largest of them all; the next arm is the
-    one of the highest `score + exploration * sqrt(log N / n)`. Where no reward tells the arms apart
-    they alternate, and where it does the hunger goes where reward is.
+    one of the highest `score + exploration * sqrt(log N / n)`. The arms alternate where they earn
+    alike, and where they do not the hunger goes where reward is.
 
     Args:
         hungers: The arms.
@@ -189,7 +187,7 @@ class BanditHunger(HungerController):
         memory: Number of segments that count.
         exploration: Weight of what is not known of an arm.
 
-    Reference: Garivier & Moulines, "On Upper-Confidence Bound Policies for Switching BanditHunger
+    Reference: Garivier & Moulines, "On Upper-Confidence Bound Policies for Switching Bandit
     Problems" (2011), for the sliding window; Badia et al., "Agent57" (2020), for the use.
     """
 
@@ -255,7 +253,7 @@ class BanditHunger(HungerController):
 def make_hunger_controller(
     config: Config, observation_dim: int, function: HungerFunction | None = None
 ) -> HungerController:
-    """Who says how hungry the agent of a run is.
+    """Make what sets the hunger in a run.
 
     Args:
         config: Settings of the run.
@@ -264,7 +262,7 @@ def make_hunger_controller(
 
     Raises:
         ValueError: If the battery is to be read where the observation has no entry, or the caller
-            and the settings both say how hungry the agent is.
+            and the settings both set the hunger.
     """
     hunger = config.agent.hunger
     highest = 1.0 if config.agent.is_conditioned else math.inf

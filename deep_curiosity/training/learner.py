@@ -21,7 +21,6 @@ from deep_curiosity.training.hunger import (
     HungerFunction,
     make_hunger_controller,
 )
-from deep_curiosity.transitions import Sequences
 
 NUM_DIAGNOSED_STATES = 512  # of replay, over which the information of the actions is estimated
 
@@ -161,9 +160,14 @@ class Learner:
     def _learn_eagerly(self, rows: Tensor, alive: Tensor) -> dict[str, Tensor]:
         """The part of an update that can be one graph; returns what to log."""
         sequences = self.replay.sequences(rows, alive)
-        bonus = self._compute_bonus(sequences)
+        bonus: Tensor | BonusFunction | None = self.bonus
         metrics = {}
         if self.bonus is not None:
+            if self.agent.has_curiosity_critic:
+                # before the models learn: in a graph it then needs no pass of its own
+                observation, action, _, next_observation, *_ = sequences.steps
+                with torch.no_grad():
+                    bonus = self.bonus(observation, action, next_observation)
             loss = self.bonus.loss(sequences.first)
             if self.bonus_optimizer is not None:
                 self.bonus_optimizer.step(loss)
@@ -171,19 +175,6 @@ class Learner:
         for name, value in self.agent.update(sequences, bonus).items():
             metrics[f"agent/{name}"] = value
         return metrics
-
-    def _compute_bonus(self, sequences: Sequences) -> Tensor | BonusFunction | None:
-        """Bonus of all steps; or the bonus itself where the policy is to maximise it.
-
-        It is computed before the models learn: in a graph it then needs no pass of its own, since
-        they learn from the same one.
-        """
-        if self.bonus is None or not self.agent.has_curiosity_critic:
-            return self.bonus
-        observation, action, _, next_observation, *_ = sequences.steps
-        with torch.no_grad():
-            bonus: Tensor = self.bonus(observation, action, next_observation)
-        return bonus
 
     def diagnostics(self) -> dict[str, Tensor]:
         """Metrics of agent and bonus that cost a few milliseconds."""
@@ -234,7 +225,7 @@ class Learner:
         return NumpyPolicy(self.agent.policy) if applies else None
 
     def _random_state(self) -> dict[str, Tensor]:
-        """State of the global generators that the run draws from."""
+        """State of the global generators that the run samples from."""
         state = {"cpu": torch.get_rng_state()}
         if self.device.type == "cuda":
             state["cuda"] = torch.cuda.get_rng_state(self.device)

@@ -40,6 +40,7 @@ from deep_curiosity.training.log import (
     write_json,
 )
 from deep_curiosity.training.run_log import RunLog, mean_return, success_rate
+from deep_curiosity.training.source import source_commit
 
 EVALUATION_SEED = 1_000_003  # apart from the seeds of training, the same in every run
 
@@ -63,7 +64,7 @@ class Run:
         return self.run_log.step >= self.config.run.total_steps
 
     def reached(self, interval: int) -> bool:
-        """Whether the newest steps, one of every environment, have come to a multiple of an interval."""
+        """Whether the newest steps, one of every environment, reach a multiple of an interval."""
         return self.run_log.step % interval < self.config.environment.num_envs
 
     @property
@@ -138,6 +139,7 @@ class Run:
             "peak_memory_megabytes": peak_memory_megabytes(),
             "versions": {
                 "deep-curiosity": __version__,
+                "commit": source_commit(),
                 "torch": torch.__version__,
                 "gymnasium": gymnasium.__version__,
                 "mujoco": mujoco.__version__,

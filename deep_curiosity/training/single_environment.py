@@ -11,7 +11,7 @@ from deep_curiosity_envs.clock import clock_stopped
 
 
 class SingleEnvironment(VectorEnv):
-    """A vector environment of one, which resets only when it is told to.
+    """A vector environment of one, without autoreset.
 
     Args:
         environment: What is stepped.

@@ -1,44 +1,71 @@
+import numpy as np
 import pytest
 
-from deep_curiosity.training import Settings
-from deep_curiosity.experiments.statistics import bootstrap, compare, draw_comparison
-from deep_curiosity.experiments.grid import Task
+from deep_curiosity.experiments.statistics import (
+    bootstrap,
+    interquartile_mean,
+    probability_of_improvement,
+    rank_correlation,
+)
 
-TASKS = [Task("maze", Settings(), 50.0), Task("hill", Settings(), 90.0)]
-RETURNS = {"bold": {"maze": [60, 70], "hill": [95, 10]}, "shy": {"maze": [0, 60], "hill": [0, 0]}}
-ROWS = [
-    {"task": task.name, "agent": agent, "solved": int(value >= task.solved_return)}
-    | {"evaluation_return": value}
-    for agent, returns in RETURNS.items()
-    for task in TASKS
-    for value in returns[task.name]
-]
+
+def test_the_interquartile_mean_leaves_a_quarter_out_at_either_end():
+    assert interquartile_mean(np.array([100.0, 1.0, 3.0, 0.0])) == 2.0
+    assert interquartile_mean(np.array([-50.0, 1.0, 2.0, 3.0, 400.0])) == 2.0
+    assert interquartile_mean(np.array([1.0, 2.0, 6.0])) == 3.0
 
 
 def test_the_interval_of_equal_values_is_a_point():
-    assert bootstrap([[2.0, 2.0], [4.0, 4.0]]) == (3.0, 3.0, 3.0)
+    assert bootstrap([[2.0] * 4, [4.0] * 4]) == (3.0, 3.0, 3.0)
 
 
-def test_the_interval_of_two_values_is_between_them():
-    mean, low, high = bootstrap([[0.0, 1.0]])
-    assert (mean, low, high) == (0.5, 0.0, 1.0)
+def test_runs_are_resampled_within_their_task():
+    estimate = bootstrap([[0.0] * 4, [1.0] * 4])
+    assert estimate == (0.5, 0.5, 0.5)  # no draw has more of one task than of the other
+
+
+def test_the_interval_covers_the_mean_of_a_known_distribution_as_often_as_it_says():
+    random = np.random.default_rng(1)
+    covered = [
+        low <= 0.0 <= high
+        for _, low, high in (bootstrap([random.normal(size=20).tolist()]) for _ in range(100))
+    ]
+    assert 0.85 <= np.mean(covered) <= 1.0
 
 
 def test_more_runs_narrow_the_interval():
     few, many = (bootstrap([[0.0, 1.0] * number]) for number in (3, 50))
-    assert many[2] - many[1] < 0.5 * (few[2] - few[1])
+    assert many.high - many.low < 0.5 * (few.high - few.low)
 
 
-def test_every_task_weighs_the_same_however_many_runs_it_has():
-    assert bootstrap([[0.0] * 9, [1.0]])[0] == pytest.approx(0.5)
+def test_an_empty_group_is_refused():
+    with pytest.raises(ValueError, match=r"`groups` must hold at least one run.*got \[2, 0\]"):
+        bootstrap([[1.0, 2.0], []])
 
 
-def test_the_table_begins_with_the_agent_that_solves_most():
-    lines = compare(TASKS, ROWS).splitlines()
-    assert lines[2].startswith("| bold | 75% [50%, 100%] | 65 [60, 70], 2 of 2 |")
-    assert lines[3].startswith("| shy | 25%") and lines[3].endswith("0 [0, 0], 0 of 2 |")
+def test_probability_of_improvement_counts_pairs_and_halves_ties():
+    assert probability_of_improvement([[3.0, 4.0]], [[1.0, 2.0]]).value == 1.0
+    assert probability_of_improvement([[1.0, 1.0]], [[1.0, 1.0]]).value == 0.5
+    assert probability_of_improvement([[0.0, 2.0]], [[1.0, 1.0]]).value == 0.5
+    two_tasks = probability_of_improvement([[3.0, 4.0], [0.0, 0.0]], [[1.0, 2.0], [1.0, 1.0]])
+    assert two_tasks == (0.5, 0.5, 0.5)
 
 
-def test_the_picture_is_drawn(tmp_path):
-    draw_comparison(tmp_path / "picture.png", TASKS, ROWS)
-    assert (tmp_path / "picture.png").stat().st_size > 5_000
+def test_probability_of_improvement_is_the_complement_of_its_reverse():
+    random = np.random.default_rng(0)
+    first, second = random.normal(size=(2, 3, 10)).tolist()
+    there, back = (
+        probability_of_improvement(*pair) for pair in ((first, second), (second, first))
+    )
+    assert there.value + back.value == pytest.approx(1.0)
+    assert there.low <= there.value <= there.high
+
+
+def test_agents_of_other_seeds_are_refused():
+    with pytest.raises(ValueError, match="same tasks and seeds, got \\[2\\] and \\[1\\] runs"):
+        probability_of_improvement([[1.0, 2.0]], [[1.0]])
+
+
+def test_rank_correlation_knows_order_alone():
+    assert rank_correlation([1, 2, 3], [10.0, 20.0, 1e9]) == pytest.approx(1.0)
+    assert rank_correlation([1, 2, 3], [3.0, 2.0, 1.0]) == pytest.approx(-1.0)

@@ -8,7 +8,7 @@ import torch
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from deep_curiosity.training.collector import Collector, Episode, VectorCollector, evaluate
+from deep_curiosity.training.collector import Collector, Episode, Collector, evaluate
 from deep_curiosity.training.environments import make_vector_environment
 
 
@@ -120,7 +120,7 @@ def test_evaluation_plays_the_same_whole_episodes_at_every_call():
 
 
 def test_worlds_end_each_in_its_way_and_never_reach_into_the_next_episode():
-    collector = VectorCollector(counters(3, -2, 100), seed=0)
+    collector = Collector(counters(3, -2, 100), seed=0)
     taken = vector_steps(collector, 12)
     for (step, _), (following, _) in itertools.pairwise(taken):
         assert step.next_observation == pytest.approx(step.observation + 1)
@@ -131,14 +131,14 @@ def test_worlds_end_each_in_its_way_and_never_reach_into_the_next_episode():
 
 
 def test_worlds_report_the_episodes_that_end():
-    collector = VectorCollector(counters(3, -2), seed=0)
+    collector = Collector(counters(3, -2), seed=0)
     finished = [episodes for _, episodes in vector_steps(collector, 6)]
     short, long = Episode(pytest.approx(0.4), 2, 1.0), Episode(0.0, 3, 0.0)
     assert finished == [[], [short], [long], [short], [], [long, short]]
 
 
 def test_episodes_in_worlds_are_those_of_the_single_collector():
-    single, several = Collector(Counter(truncate_at=2), 0), VectorCollector(counters(2, 2), 0)
+    single, several = Collector(Counter(truncate_at=2), 0), Collector(counters(2, 2), 0)
     starts = [step.observation.item() for step, _ in steps(single, 8)[::2]]
     assert [x for step, _ in vector_steps(several, 4)[::2] for x in step.observation] == starts
 
@@ -146,9 +146,9 @@ def test_episodes_in_worlds_are_those_of_the_single_collector():
 @pytest.mark.parametrize("number", [0, 1, 5, 6, 17])
 def test_restored_worlds_go_on_as_the_saved_ones(number):
     ends = 5, -3, 7, 100
-    collector = VectorCollector(counters(*ends), seed=0)
+    collector = Collector(counters(*ends), seed=0)
     vector_steps(collector, number)
-    restored = VectorCollector(counters(*ends), seed=0)
+    restored = Collector(counters(*ends), seed=0)
     vector_steps(restored, 4)  # what went before must not show
     restored.load_state_dict(collector.state_dict())
     for one, other in zip(vector_steps(collector, 9), vector_steps(restored, 9), strict=True):
@@ -162,15 +162,15 @@ def test_restored_worlds_go_on_as_the_saved_ones(number):
 
 
 def test_the_actions_of_past_episodes_are_forgotten():
-    collector = VectorCollector(counters(3, -2), seed=0)
+    collector = Collector(counters(3, -2), seed=0)
     vector_steps(collector, 50)
     assert len(collector.actions) <= 3
 
 
 def test_worlds_that_do_not_repeat_themselves_are_reported():
-    collector = VectorCollector(counters(9, 9), seed=0)
+    collector = Collector(counters(9, 9), seed=0)
     vector_steps(collector, 3)
-    other = VectorCollector(counters(9, 9), seed=1)
+    other = Collector(counters(9, 9), seed=1)
     with pytest.raises(RuntimeError, match="must repeat an episode from its seed and actions"):
         other.load_state_dict(collector.state_dict())
 
@@ -178,13 +178,13 @@ def test_worlds_that_do_not_repeat_themselves_are_reported():
 def test_worlds_that_reset_by_themselves_are_rejected():
     environment = counters(3, mode=AutoresetMode.SAME_STEP)
     with pytest.raises(ValueError, match="`environment` must have its autoreset disabled, got"):
-        VectorCollector(environment, seed=0)
+        Collector(environment, seed=0)
 
 
 @pytest.mark.parametrize("vectorization", ["native", "sync"])
 def test_what_the_worlds_say_now_belongs_to_the_observation_of_now(vectorization):
     worlds = make_vector_environment("BatteryRover", {}, num_envs=3, vectorization=vectorization)
-    collector = VectorCollector(worlds, seed=0)
+    collector = Collector(worlds, seed=0)
     pushes = np.array([[0.1, 0.1], [0.5, 0.5], [1.0, 1.0]])
     ended = 0
     for _ in range(250):

@@ -1,4 +1,3 @@
-from dataclasses import replace
 
 import pytest
 import torch
@@ -13,17 +12,17 @@ pytestmark = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a G
 
 @pytest.fixture
 def on_gpu(tiny):
-    return replace(tiny, device="cuda", prior="learned")
+    return tiny.override(device="cuda", prior="learned")
 
 
 @pytest.mark.parametrize("num_envs", [1, 3])
 def test_a_resumed_run_equals_an_uninterrupted_one(on_gpu, tmp_path, num_envs):
-    whole = replace(on_gpu, num_envs=num_envs, total_steps=90, out=tmp_path / "whole")
-    halves = replace(whole, total_steps=45, out=tmp_path / "halves")
+    whole = on_gpu.override(num_envs=num_envs, total_steps=90, out=tmp_path / "whole")
+    halves = whole.override(total_steps=45, out=tmp_path / "halves")
     train(whole, show_progress=False)
     train(halves, show_progress=False)
-    train(replace(whole, resume=halves.out), show_progress=False)
-    one, other = (load_checkpoint(run.out)["learner"] for run in (whole, halves))
+    train(whole.override(out=halves.run.out), resume=True, show_progress=False)
+    one, other = (load_checkpoint(run.run.out)["learner"] for run in (whole, halves))
     assert torch.equal(one["replay"]["rows"], other["replay"]["rows"])
     for part in ("agent", "bonus"):
         for name, value in one[part].items():

@@ -42,8 +42,8 @@ def test_short_names_are_ours():
     assert num_cells(environment) == environment.unwrapped.num_cells
     assert picture_features("PointMaze", {}) == (0, 1)
     assert picture_features("PendulumSwingup", {}) == (0, 2)
-    assert picture_features("PointMaze", {}, history=3) == (12, 13)
-    assert picture_features("PendulumSwingup", {}, history=2) == (4, 6)
+    assert picture_features("PointMaze", {}, frame_stack=3) == (12, 13)
+    assert picture_features("PendulumSwingup", {}, frame_stack=2) == (4, 6)
 
 
 def test_reaching_the_goal_of_mountain_car_is_success():

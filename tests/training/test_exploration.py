@@ -1,9 +1,8 @@
-from dataclasses import replace
 
 import pytest
 import torch
 
-from deep_curiosity.training import Settings, train
+from deep_curiosity.training import Config, continue_run, train
 from deep_curiosity.training.exploration import NOISES, REDRAWN_STEPS, StateDependentNoise
 
 
@@ -70,27 +69,27 @@ def test_state_dependent_noise_is_a_function_of_the_state_until_it_is_redrawn():
 
 @pytest.mark.parametrize(("exploration", "num_envs"), [("gsde", 2), ("pink", 3), ("ou", 1)])
 def test_a_run_explores_so_and_resumes_as_if_it_had_not_stopped(tiny, exploration, num_envs):
-    tiny = replace(tiny, exploration=exploration, num_envs=num_envs, checkpoint_interval=1_000)
-    whole = replace(tiny, out=tiny.out / "whole", total_steps=90)
-    halves = replace(tiny, out=tiny.out / "halves")
+    tiny = tiny.override(exploration=exploration, num_envs=num_envs, checkpoint_interval=1_000)
+    whole = tiny.override(out=tiny.run.out / "whole", total_steps=90)
+    halves = tiny.override(out=tiny.run.out / "halves")
     train(whole, show_progress=False)
     train(halves, show_progress=False)
-    train(Settings(resume=halves.out, total_steps=90), show_progress=False)
+    continue_run(halves.run.out, total_steps=90, show_progress=False)
     first, second = (
-        torch.load(run.out / "checkpoint.pt")["learner"]["replay"]["rows"]
+        torch.load(run.run.out / "checkpoint.pt")["learner"]["replay"]["rows"]
         for run in (whole, halves)
     )
     assert first.equal(second)
-    train(replace(whole, out=tiny.out / "white", exploration="policy"), show_progress=False)
-    white = torch.load(tiny.out / "white" / "checkpoint.pt")["learner"]["replay"]["rows"]
+    train(whole.override(out=tiny.run.out / "white", exploration="policy"), show_progress=False)
+    white = torch.load(tiny.run.out / "white" / "checkpoint.pt")["learner"]["replay"]["rows"]
     assert not white.equal(first)
 
 
 def test_several_modes_have_noise_of_their_own(tiny):
     with pytest.raises(ValueError, match="`exploration` must be 'policy' for 2 policy modes"):
-        replace(tiny, exploration="pink", policy_modes=2)
+        tiny.override(exploration="pink", policy_modes=2)
 
 
 def test_a_bonus_of_outcomes_cannot_be_climbed(tiny):
     with pytest.raises(ValueError, match="`curiosity_discount` must be above 0 for the bonus rnd"):
-        replace(tiny, bonus="rnd", curiosity_discount=0.0)
+        tiny.override(bonus="rnd", curiosity_discount=0.0)

@@ -1,4 +1,3 @@
-from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -6,7 +5,7 @@ import pytest
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from deep_curiosity.training.collector import VectorCollector
+from deep_curiosity.training.collector import Collector
 from deep_curiosity.training.environments import make_environment, make_vector_environment
 from deep_curiosity.integrations.trainer import LearnerIntegration
 from deep_curiosity.training.learner import make_run_bonus
@@ -83,9 +82,9 @@ def test_what_was_returned_stays_as_it_was():
 @pytest.mark.parametrize("vectorization", ["native", "sync", "async"])
 def test_worlds_have_the_windows_of_single_environments(vectorization):
     task = "ReacherSparse", {"action_cost": 0.1}
-    worlds = make_vector_environment(*task, num_envs=2, vectorization=vectorization, history=3)
-    collector = VectorCollector(worlds, seed=0)
-    singles = [make_environment(*task, history=3) for _ in range(2)]
+    worlds = make_vector_environment(*task, num_envs=2, vectorization=vectorization, frame_stack=3)
+    collector = Collector(worlds, seed=0)
+    singles = [make_environment(*task, frame_stack=3) for _ in range(2)]
     random, starts = np.random.default_rng(0), []
     for step in range(220):  # two episodes and some of the third
         if step % 100 == 0:
@@ -105,10 +104,10 @@ def _seed(number):
     return int(np.random.SeedSequence((0, number)).generate_state(1)[0])
 
 
-@pytest.mark.parametrize(("history", "size"), [(1, 2), (2, 5), (4, 11)])
+@pytest.mark.parametrize(("frame_stack", "size"), [(1, 2), (2, 5), (4, 11)])
 def test_the_space_grows_with_the_history(history, size):
-    one = make_environment("PendulumHiddenVelocity", history=history)
-    several = make_vector_environment("PendulumHiddenVelocity", num_envs=2, history=history)
+    one = make_environment("PendulumHiddenVelocity", frame_stack=history)
+    several = make_vector_environment("PendulumHiddenVelocity", num_envs=2, frame_stack=history)
     assert one.observation_space.shape == (size,)
     assert one.observation_space.contains(one.reset(seed=0)[0])
     assert several.observation_space.shape == (2, size)
@@ -116,7 +115,7 @@ def test_the_space_grows_with_the_history(history, size):
 
 
 def test_the_space_keeps_the_precision_of_the_observation():
-    env = make_environment("InvertedPendulum-v5", history=2)
+    env = make_environment("InvertedPendulum-v5", frame_stack=2)
     window, _ = env.reset(seed=0)
     assert window.dtype == env.observation_space.dtype == np.float64
     assert env.step(act(0.5))[0].dtype == np.float64
@@ -127,7 +126,7 @@ def test_a_history_without_an_observation_is_rejected():
     with pytest.raises(ValueError, match="`history` must be at least 1, got 0"):
         FrameStack(Counter(), 0)
     with pytest.raises(ValueError, match="`history` must be at least 1, got 0"):
-        make_vector_environment("PointMaze", num_envs=2, history=0)
+        make_vector_environment("PointMaze", num_envs=2, frame_stack=0)
 
 
 @pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP])
@@ -137,17 +136,17 @@ def test_worlds_that_reset_by_themselves_are_rejected(mode):
 
 
 def test_the_check_looks_through_the_same_window(tiny):
-    agent = LearnerIntegration(replace(tiny, history=3))
+    agent = LearnerIntegration(tiny.override(frame_stack=3))
     assert agent.collect(5, seed=0).observation.shape == (5, 3 * 3 + 2 * 1)
 
 
 @pytest.mark.parametrize(
-    ("history", "asked", "entries"),
+    ("frame_stack", "asked", "entries"),
     [(1, (), None), (3, (), [4, 5, 6, 8, 9, 10]), (3, (0, -1), [0, 10])],
 )
 def test_curiosity_is_about_the_two_newest_observations_of_a_window(tiny, history, asked, entries):
     """Of three entries, with one action between two observations."""
-    settings = replace(tiny, history=history, features=asked)
+    settings = tiny.override(frame_stack=history, features=asked)
     bonus = make_run_bonus(settings, 3 * history + history - 1, 1)
     found = None if bonus.entries is None else bonus.entries.tolist()
     assert found == entries

@@ -1,11 +1,10 @@
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
 
-from deep_curiosity.training import Settings, train
+from deep_curiosity.training import Config, continue_run, train
 from deep_curiosity.training.checkpoint import load_checkpoint
 from deep_curiosity.training.environments import make_environment
 from deep_curiosity.training.hunger import BanditHunger, RandomHunger, ScheduledHunger, FunctionHunger, make_hunger_controller
@@ -79,18 +78,18 @@ def test_an_empty_battery_makes_hungry_in_training_and_evaluation():
     charge = np.array([1.0, 0.75, 0.5, 0.0])
     observation, info = np.stack((np.full(4, 5.0), charge), axis=1), {"charge": charge}
     for entry in (-1, 1, "charge"):
-        hunger_controller = make_hunger_controller(Settings(hunger_control="battery", battery=entry), 2)
+        hunger_controller = make_hunger_controller(Config.of(hunger_control="battery", battery=entry), 2)
         assert hunger_controller.hunger(0, observation, info).tolist() == [0.0, 0.5, 1.0, 1.0]
         assert hunger_controller.in_evaluation(observation, info).tolist() == [0.0, 0.5, 1.0, 1.0]
 
 
 def test_a_battery_must_be_in_the_observation():
     with pytest.raises(ValueError, match="`battery` must be an entry of an observation of 3, got"):
-        make_hunger_controller(Settings(hunger_control="battery", battery=3), observation_dim=3)
+        make_hunger_controller(Config.of(hunger_control="battery", battery=3), observation_dim=3)
 
 
 def test_a_battery_must_be_in_the_info():
-    hunger_controller = make_hunger_controller(Settings(hunger_control="battery", battery="fuel"), observation_dim=3)
+    hunger_controller = make_hunger_controller(Config.of(hunger_control="battery", battery="fuel"), observation_dim=3)
     with pytest.raises(ValueError, match=r"`battery` .* \['energy'\], got 'fuel'"):
         hunger_controller.hunger(0, NOTHING, {"energy": 1.0})
 
@@ -104,14 +103,12 @@ def test_the_caller_may_say_how_hungry_the_agent_is(tiny, control, num_envs):
         told.append((observation, info["energy"]))
         return 0.25 + 0.5 * (observation[:, -1] < 0.95)
 
-    settings = replace(
-        tiny, env_id="BatteryRover", env_kwargs={}, hunger_control=control, num_envs=num_envs
-    )
+    settings = tiny.override(env_id="BatteryRover", env_kwargs={}, hunger_control=control, num_envs=num_envs)
     train(settings, hunger=hunger, show_progress=False)
     assert {len(observation) for observation, _ in told} == {1, num_envs}  # 1 in evaluations
     for observation, energy in told:
         assert observation[:, -1] == pytest.approx(energy)
-    logged = {float(row["agent/hunger"]) for row in read_progress(settings.out)}
+    logged = {float(row["agent/hunger"]) for row in read_progress(settings.run.out)}
     assert 0.75 in logged
 
 
@@ -125,16 +122,16 @@ def test_the_caller_may_say_how_hungry_the_agent_is(tiny, control, num_envs):
     ids=["shape", "range", "nan"],
 )
 def test_a_hunger_that_cannot_be_is_named(tiny, hunger, message):
-    settings = replace(tiny, hunger_control="dial")
+    settings = tiny.override(hunger_control="dial")
     with pytest.raises(ValueError, match=message):
         train(settings, hunger=lambda observation, info: hunger, show_progress=False)
 
 
 def test_hunger_is_said_by_one_alone(tiny):
-    settings = replace(tiny, hunger_control="bandit")
+    settings = tiny.override(hunger_control="bandit")
     with pytest.raises(ValueError, match=r"`hunger_control` must be .* got 'bandit'"):
         train(settings, hunger=lambda observation, info: 1.0, show_progress=False)
-    assert not tiny.out.exists()
+    assert not tiny.run.out.exists()
 
 
 def test_what_is_sensed_is_not_bounded_without_a_dial():
@@ -144,7 +141,7 @@ def test_what_is_sensed_is_not_bounded_without_a_dial():
 
 @pytest.mark.parametrize("control", ["linear", "exponential"])
 def test_a_schedule_goes_from_hunger_to_final_hunger(control):
-    settings = Settings(
+    settings = Config.of(
         hunger_control=control, hunger=0.5, final_hunger=8.0, total_steps=100, num_envs=2
     )
     hunger_controller = make_hunger_controller(settings, 3)
@@ -154,16 +151,13 @@ def test_a_schedule_goes_from_hunger_to_final_hunger(control):
 
 
 def test_what_goes_with_time_is_set_before_a_step(tiny):
-    settings = replace(
-        tiny,
-        hunger_control="linear",
+    settings = tiny.override(hunger_control="linear",
         final_hunger=3.0,
         temperature_control="exponential",
         temperature=1.0,
         final_temperature=0.01,
         curiosity_ends=50,
-        total_steps=100,
-    )
+        total_steps=100,)
     learner = Learner(settings, 3, 1)
     learner.turn(49, np.zeros(3), {})
     assert learner.agent.curiosity_weight == 1.0
@@ -174,7 +168,7 @@ def test_what_goes_with_time_is_set_before_a_step(tiny):
 
 
 def test_what_is_restored_is_told_anew_how_hungry_it_is(tiny):
-    learner, hungrier = Learner(tiny, 3, 1), Learner(replace(tiny, hunger=2.0), 3, 1)
+    learner, hungrier = Learner(tiny, 3, 1), Learner(tiny.override(hunger=2.0), 3, 1)
     for each in (learner, hungrier):
         each.turn(0, np.zeros(3), {})
     learner.load_state_dict(hungrier.state_dict())
@@ -185,7 +179,7 @@ def test_what_is_restored_is_told_anew_how_hungry_it_is(tiny):
 
 @pytest.mark.parametrize("num_envs", [1, 2])
 def test_the_policy_acts_as_hungry_as_the_dial_says(tiny, num_envs):
-    settings = replace(tiny, hunger_control="dial", num_envs=num_envs)
+    settings = tiny.override(hunger_control="dial", num_envs=num_envs)
     learner = Learner(settings, 3, 1)
     with torch.no_grad():
         layers = learner.agent.policy.network.layers
@@ -207,12 +201,12 @@ def test_the_policy_acts_as_hungry_as_the_dial_says(tiny, num_envs):
 
 @pytest.mark.parametrize("control", ["draws", "bandit"])
 def test_a_resumed_run_goes_on_with_its_keeper(tiny, tmp_path, control):
-    dialled = replace(tiny, hunger_control=control, total_steps=60)
+    dialled = tiny.override(hunger_control=control, total_steps=60)
     train(dialled, show_progress=False)
-    halves = replace(dialled, out=tmp_path / "halves")
-    train(replace(halves, total_steps=30), show_progress=False)
-    train(Settings(resume=halves.out, total_steps=60), show_progress=False)
-    whole, resumed = (load_checkpoint(run.out)["learner"] for run in (dialled, halves))
+    halves = dialled.override(out=tmp_path / "halves")
+    train(halves.override(total_steps=30), show_progress=False)
+    continue_run(halves.run.out, total_steps=60, show_progress=False)
+    whole, resumed = (load_checkpoint(run.run.out)["learner"] for run in (dialled, halves))
     assert whole["hunger_controller"] == resumed["hunger_controller"] != {}
     assert torch.equal(whole["replay"]["rows"], resumed["replay"]["rows"])
 
@@ -237,28 +231,26 @@ def test_a_resumed_run_goes_on_with_its_keeper(tiny, tmp_path, control):
 )
 def test_a_control_that_cannot_be_is_named(tiny, change, message):
     with pytest.raises(ValueError, match=message):
-        train(replace(tiny, **change), show_progress=False)
-    assert not tiny.out.exists()
+        train(tiny.override(**change), show_progress=False)
+    assert not tiny.run.out.exists()
 
 
 def test_a_run_without_a_dial_is_played_at_no_other_hunger(tiny):
     train(tiny, show_progress=False)
     environment = make_environment(tiny.env_id, tiny.env_kwargs)
     with pytest.raises(ValueError, match="`hunger` can only be chosen where the run has a dial"):
-        load_policy(tiny.out, tiny, environment, hunger=0.5)
-    action = load_policy(tiny.out, tiny, environment)(torch.zeros(2, 3), {})
+        load_policy(tiny.run.out, tiny, environment, hunger=0.5)
+    action = load_policy(tiny.run.out, tiny, environment)(torch.zeros(2, 3), {})
     assert action.shape == (2, 1)
     environment.close()
 
 
 def test_curiosity_past_the_end_of_the_world_is_asked_for_by_a_setting(tiny):
-    rover = replace(
-        tiny, env_id="BatteryRover", env_kwargs={}, total_steps=300, learning_starts=250
-    )
+    rover = tiny.override(env_id="BatteryRover", env_kwargs={}, total_steps=300, learning_starts=250)
     weights = []
     for episodic in (True, False):
-        out = tiny.out.with_name(f"{episodic}")
-        train(replace(rover, curiosity_episodic=episodic, out=out), show_progress=False)
+        out = tiny.run.out.with_name(f"{episodic}")
+        train(rover.override(curiosity_episodic=episodic, out=out), show_progress=False)
         state = load_checkpoint(out)["learner"]
         assert state["replay"]["rows"][:, -2].any()  # a battery was empty
         weights.append(state["agent"]["critics.network.layers.0.weight"])

@@ -1,4 +1,3 @@
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -18,7 +17,7 @@ from deep_curiosity.training.learner import Learner
 def test_the_bonus_is_asked_for_a_batch_once_and_before_its_models_learn(
     tiny, monkeypatch, changes, expected
 ):
-    learner = Learner(replace(tiny, batch_size=8, actor_stride=1, **changes), 3, 1)
+    learner = Learner(tiny.override(batch_size=8, actor_stride=1, **changes), 3, 1)
     for observation, next_observation in np.random.default_rng(0).normal(size=(40, 2, 3)):
         learner.replay.add(observation, np.zeros(1), 0.0, next_observation, False, False)
     bonus, calls = learner.bonus, []

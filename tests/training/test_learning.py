@@ -4,13 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from deep_curiosity.training import Settings, train
+from deep_curiosity.training import Config, continue_run, train
 
 HALF_OF_ALL_STEPS = 100.0  # of PendulumSwingup: 200 steps that pay at most one each
 
 
 def evaluation_return(bonus: str, out: Path) -> float:
-    settings = Settings(
+    settings = Config.of(
         env_id="PendulumSwingup",
         env_kwargs={"action_cost": 0.1},
         total_steps=16_000,

@@ -13,9 +13,9 @@ from deep_curiosity.integrations.check.profile import Profile, profile
 try:
     import tyro
 
-    from deep_curiosity.training.environments import make_environment
     from deep_curiosity.integrations.trainer import LearnerIntegration
-    from deep_curiosity.training.config import Settings
+    from deep_curiosity.training.config import Config
+    from deep_curiosity.training.environments import make_environment
 except ImportError as error:
     raise ImportError(f"{error.name} is missing: pip install 'deep-curiosity[scripts]'") from error
 
@@ -28,33 +28,33 @@ class Args:
     """Task: one of ours, a gymnasium id, or dm_control/DOMAIN-TASK-v0."""
     env_kwargs: dict[str, float] = field(default_factory=dict)
     """Keyword arguments of the environment, such as: action_cost 0.1"""
-    history: int = 1
-    """As for training."""
+    frame_stack: int = 1
+    """Observations shown to the agent together, with the actions between them."""
     bonus: str = "curiosity"
-    """As for training."""
+    """Name of the bonus, as for training."""
     num_steps: int = 2_000
-    """Random steps to look at; as many are collected for the check."""
+    """Random steps from which the profile is made; as many are collected for the check."""
     num_updates: int = 200
     """Updates of the agent before its bonus is looked at."""
     seed: int = 0
-    """Of all random numbers."""
+    """Seeds environment, agent and random actions."""
 
 
 def main(args: Args) -> bool:
     """Print the profile and the check; return whether all is well."""
-    settings = Settings(
+    config = Config.of(
         env_id=args.env_id,
         env_kwargs=args.env_kwargs,
-        history=args.history,
-        bonus=args.bonus,  # type: ignore[arg-type]  # checked by the settings
+        frame_stack=args.frame_stack,
+        bonus=args.bonus,
         hidden_dim=64,
         seed=args.seed,
     )
-    environment = make_environment(args.env_id, args.env_kwargs, history=args.history)
-    seen = profile(environment, num_steps=args.num_steps, seed=args.seed)
-    print(describe(seen, environment.unwrapped.action_space))
+    environment = make_environment(config.environment)
+    found = profile(environment, num_steps=args.num_steps, seed=args.seed)
+    print(describe(found, environment.unwrapped.action_space))
     environment.close()
-    agent = LearnerIntegration(settings)
+    agent = LearnerIntegration(config)
     report = check_integration(agent, num_steps=args.num_steps, seed=args.seed)
     print(report)
     for _ in range(args.num_updates):
@@ -63,26 +63,26 @@ def main(args: Args) -> bool:
     return report.passed
 
 
-def describe(seen: Profile, action_space: object) -> str:
+def describe(found: Profile, action_space: object) -> str:
     """The profile as text."""
-    low, high = seen.reward_range
+    low, high = found.reward_range
     lines = [
         f"Actions: {action_space}, given in [-1, 1]",
-        f"{len(seen.observation)} steps, {seen.num_episodes} episodes ended, "
-        f"{seen.num_not_finite} steps with NaN or infinity, rewards from {low:.4g} to {high:.4g}",
+        f"{len(found.observation)} steps, {found.num_episodes} episodes ended, "
+        f"{found.num_not_finite} steps with NaN or infinity, rewards from {low:.4g} to {high:.4g}",
         "",
-        table(seen.features()),
+        table(found.features()),
     ]
-    if any(row["mind"] == "heavy tail" for row in seen.features()):
+    if any(row["note"] == "heavy tail" for row in found.features()):
         lines.append(
-            "Heavy tails blur the rest: bound such features before the bonus sees them, "
+            "Heavy tails blur the rest: bound such features before the bonus is given them, "
             'or make it with whitening="robust".'
         )
     return "\n".join([*lines, ""])
 
 
 def describe_bonus(agent: LearnerIntegration) -> str:
-    """What the bonus says of itself after some updates."""
+    """Metrics of the bonus after some updates."""
     metrics = {name: value.item() for name, value in agent.bonus.metrics().items()}
     lines = ["", *(f"{name:22} {value:.4g}" for name, value in metrics.items())]
     if "floor_share" in metrics:
@@ -108,6 +108,6 @@ if __name__ == "__main__":
     torch.set_num_threads(1)
     try:
         all_is_well = main(tyro.cli(Args, description=__doc__))
-    except (ImportError, OSError, RuntimeError, ValueError) as error:
+    except (ImportError, OSError, RuntimeError, TypeError, ValueError) as error:
         sys.exit(f"error: {error}")
     sys.exit(0 if all_is_well else 1)

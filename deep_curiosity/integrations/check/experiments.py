@@ -10,13 +10,13 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from deep_curiosity.integrations.check.findings import Finding, Report
 from deep_curiosity.integrations.base import Integration
+from deep_curiosity.integrations.check.findings import Finding, Report
 from deep_curiosity.transitions import Transition
 
 PATTERN_STRENGTH = 10.0  # of the bonus put in the place of the real one; rewards have size one
-NUM_UPDATES = 20  # until the critic has told the actor, which may be updated more seldom
-CONSTANT_SPREAD = 1e-6  # of the size of the answers: float32 cannot tell less
+NUM_UPDATES = 20  # until the critic has moved the actor, which may be updated more seldom
+CONSTANT_STD = 1e-6  # relative to the largest bonus: float32 resolves no less
 REWARD_ERROR = 1e-5  # relative; rewards go through float32
 OBSERVATION_ERROR = 1e-5
 
@@ -25,8 +25,8 @@ def check_integration(agent: Integration, *, num_steps: int = 400, seed: int = 0
     """Find out by experiment whether a bonus works inside an agent.
 
     The agent collects some steps and is saved. Copies of it then learn with the bonus replaced,
-    in the one by zero, in the other by a strong pattern: where the bonus reaches the critic, the
-    two must part.
+    in one by zero, in the other by a strong pattern: where the bonus reaches the critic, the two
+    come to differ.
 
     Args:
         agent: With its bonus; it is left a little further in its training.
@@ -42,22 +42,22 @@ def check_integration(agent: Integration, *, num_steps: int = 400, seed: int = 0
         stored = agent.stored()
         copies = _Copies(agent, _saved(agent, folder / "before"), num_steps, seed)
         others = [_check_rewards(copies), _check_ends(given, stored), *_check_acts(copies)]
-        answers = _check_answers(agent, stored, seed)
+        values = _check_values(agent, stored, seed)
         spoiled = Finding("state", None, "the agent has learned from no numbers", "see above")
-        state = _check_state(agent, folder / "after", seed) if answers[0].passed else spoiled
-    return Report((*answers, *others, state))
+        state = _check_state(agent, folder / "after", seed) if values[0].passed else spoiled
+    return Report((*values, *others, state))
 
 
 @dataclass(frozen=True)
 class _Copies:
-    """Makes copies of a saved agent that live with another bonus."""
+    """Makes copies of a saved agent and trains them with another bonus."""
 
     agent: Integration
     folder: Path
     num_steps: int
     seed: int
 
-    def live(
+    def run(
         self, bonus: Callable[..., Tensor], *, collecting: bool = True, updates: int = 1
     ) -> tuple[Integration, Transition | None]:
         """Let a copy learn, and collect before that, with its bonus replaced.
@@ -72,9 +72,9 @@ class _Copies:
             copy.learn(seed=self.seed + update)
         return copy, given
 
-    def parted(self, part: Callable[[Integration], list[Tensor]], **life: Any) -> float:
-        """How far apart are two copies, of which one earns nothing and one a strong pattern."""
-        silent, marked = (self.live(bonus, **life)[0] for bonus in (_silence, _pattern))
+    def difference(self, part: Callable[[Integration], list[Tensor]], **options: Any) -> float:
+        """Largest difference of two copies, one with no bonus and one with a strong pattern."""
+        silent, marked = (self.run(bonus, **options)[0] for bonus in (_silence, _pattern))
         return _distance(part(silent), part(marked))
 
 
@@ -83,35 +83,35 @@ def _silence(observation: Tensor, *others: Tensor | None) -> Tensor:
 
 
 def _pattern(observation: Tensor, action: Tensor, *others: Tensor | None) -> Tensor:
-    """A strong bonus that tells pairs apart, and never vanishes."""
+    """A strong bonus that differs between pairs, and never vanishes."""
     return PATTERN_STRENGTH * (2 + torch.sin(observation.sum(-1) + 3 * action.sum(-1)))
 
 
-def _check_answers(agent: Integration, stored: Transition, seed: int) -> list[Finding]:
-    """Whether the bonus itself, after an update, says anything."""
+def _check_values(agent: Integration, stored: Transition, seed: int) -> list[Finding]:
+    """Whether the bonus is finite and varies, after an update."""
     try:
         agent.learn(seed=seed)
         observation, action, _, next_observation, *_ = stored
         with torch.no_grad():
             bonus = agent.bonus(observation, action, next_observation)
         broken = int((~bonus.isfinite()).sum())
-        spread = bonus[bonus.isfinite()].std().item() if broken < len(bonus) - 1 else math.nan
+        std = bonus[bonus.isfinite()].std().item() if broken < len(bonus) - 1 else math.nan
         size = bonus[bonus.isfinite()].abs().max().item() if broken < len(bonus) else math.nan
     except Exception as error:  # whatever a foreign agent raises is a finding
         failed = f"{type(error).__name__}: {error}"
         return [Finding("finite", False, failed, "make one update run without an error")]
-    constant = not spread > CONSTANT_SPREAD * max(size, 1e-30)
+    constant = not std > CONSTANT_STD * max(size, 1e-30)
     return [
         Finding(
             "finite",
             broken == 0,
-            f"{broken} of {len(bonus)} answers are NaN or infinite",
-            "look for NaN in observations, zero scales, or a bonus asked before it observed",
+            f"{broken} of {len(bonus)} values are NaN or infinite",
+            "look for NaN in observations, zero scales, or a bonus that has observed no batch yet",
         ),
         Finding(
             "not constant",
             None if broken else not constant,
-            f"standard deviation {spread:.3g} over what is stored",
+            f"standard deviation {std:.3g} over what is stored",
             "show the bonus batches by `loss` and `observe`, and check the order of its arguments",
         ),
     ]
@@ -119,7 +119,7 @@ def _check_answers(agent: Integration, stored: Transition, seed: int) -> list[Fi
 
 def _check_rewards(copies: _Copies) -> Finding:
     """Whether the bonus is counted at learning, and nowhere else."""
-    marked, given = copies.live(_pattern)
+    marked, given = copies.run(_pattern)
     assert given is not None
     newest = marked.stored().reward[-len(given.reward) :]
     error = (newest - given.reward).abs().max().item()
@@ -132,7 +132,7 @@ def _check_rewards(copies: _Copies) -> Finding:
 
 
 def _check_ends(given: Transition, stored: Transition) -> Finding:
-    """Whether replay knows how episodes ended, and what they ended with."""
+    """Whether replay holds how episodes ended, and their last observation."""
     newest = Transition(*(field[-len(given.reward) :] for field in stored))
     flags = sum(
         int((getattr(newest, name) != getattr(given, name)).sum())
@@ -144,24 +144,24 @@ def _check_ends(given: Transition, stored: Transition) -> Finding:
     return Finding(
         "ends",
         None if num_ends == 0 else flags == 0 and wrong == 0,
-        f"{num_ends} episodes ended; {flags} flags and {wrong} successors differ",
+        f"{num_ends} episodes ended; {flags} flags and {wrong} next observations differ",
         "keep `terminated` and `truncated` apart, and store the final observation of an episode, "
         "not the first one of the next",
     )
 
 
 def _check_acts(copies: _Copies) -> list[Finding]:
-    """Whether the bonus moves critic and actor; of one that does not, nothing more is asked."""
+    """Whether the bonus moves critic and actor; the rest is left out where it does not."""
     targets = _check_targets(copies)
     if targets.passed:
         return [targets, _check_fresh(copies), _check_actor(copies)]
-    unasked = ("the bonus does not reach the critic", "see above")
-    return [targets, Finding("fresh", None, *unasked), Finding("actor", None, *unasked)]
+    unanswered = ("the bonus does not reach the critic", "see above")
+    return [targets, Finding("fresh", None, *unanswered), Finding("actor", None, *unanswered)]
 
 
 def _check_targets(copies: _Copies) -> Finding:
     """Whether the bonus reaches the critic at all, wherever it may be added."""
-    moved = copies.parted(lambda copy: copy.critic())
+    moved = copies.difference(lambda copy: copy.critic())
     return Finding(
         "targets",
         moved > 0,
@@ -173,7 +173,7 @@ def _check_targets(copies: _Copies) -> Finding:
 
 def _check_fresh(copies: _Copies) -> Finding:
     """Whether what was collected under an older bonus is learned under the newest."""
-    moved = copies.parted(lambda copy: copy.critic(), collecting=False)
+    moved = copies.difference(lambda copy: copy.critic(), collecting=False)
     return Finding(
         "fresh",
         moved > 0,
@@ -184,7 +184,7 @@ def _check_fresh(copies: _Copies) -> Finding:
 
 def _check_actor(copies: _Copies) -> Finding:
     """Whether, by the critic, the bonus reaches the actor."""
-    moved = copies.parted(lambda copy: copy.actor(), updates=NUM_UPDATES)
+    moved = copies.difference(lambda copy: copy.actor(), updates=NUM_UPDATES)
     return Finding(
         "actor",
         moved > 0,
@@ -205,12 +205,14 @@ def _check_state(agent: Integration, folder: Path, seed: int) -> Finding:
     stored_alike = all(map(_same, agent.stored(), first.stored()))
     for copy in (first, second):
         copy.learn(seed=seed)
-    apart = _distance(first.critic(), second.critic())
-    seen = f"{len(lost)} entries of the bonus lost, replay {'kept' if stored_alike else 'lost'}"
+    distance = _distance(first.critic(), second.critic())
+    observed = (
+        f"{len(lost)} entries of the bonus lost, replay {'kept' if stored_alike else 'lost'}"
+    )
     return Finding(
         "state",
-        not lost and stored_alike and apart == 0,
-        seen + ("" if apart == 0 else f", copies part by {apart:.3g}"),
+        not lost and stored_alike and distance == 0,
+        observed + ("" if distance == 0 else f", copies differ by {distance:.3g}"),
         "save the bonus's `state_dict`, its optimiser and the replay with the agent",
     )
 

@@ -9,8 +9,8 @@ class Finding:
 
     question: str
     passed: bool | None
-    """`None` where it could not be asked."""
-    seen: str
+    """`None` where it could not be answered."""
+    observed: str
     advice: str
     """What to do where it failed."""
 
@@ -30,7 +30,7 @@ class Report:
         """Line of a question, such as `"fresh"`.
 
         Raises:
-            KeyError: If the check does not ask it.
+            KeyError: If the check has no such question.
         """
         for finding in self.findings:
             if finding.question == question:
@@ -43,7 +43,9 @@ class Report:
         width = max(len(finding.question) for finding in self.findings)
         lines = []
         for finding in self.findings:
-            lines.append(f"{finding.question:{width}}  {word[finding.passed]:3}  {finding.seen}")
+            lines.append(
+                f"{finding.question:{width}}  {word[finding.passed]:3}  {finding.observed}"
+            )
             if finding.passed is False:
                 lines.append(f"{'':{width}}       -> {finding.advice}")
         return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""A short profile of an environment: what a bonus will meet there."""
+"""A short profile of an environment: range and tails of its observations."""
 
 from dataclasses import dataclass
 
@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 
 HEAVY_TAIL = 10.0  # excess kurtosis; 0 for a Gaussian, 3 for a Laplace distribution
-STILL_STD = 1e-6  # below it a feature carries nothing
+STILL_STD = 1e-6  # below it a feature is constant
 
 
 @dataclass(frozen=True)
@@ -22,7 +22,7 @@ class Profile:
     reward_range: tuple[float, float]
 
     def features(self) -> list[dict[str, str]]:
-        """A row for every feature: range, spread, weight of the tails, and what to mind."""
+        """A row for every feature: range, standard deviation, tails, and a warning if any."""
         rows = []
         for index, value in enumerate(self.observation.T.astype(np.float64)):
             std = value.std()
@@ -36,14 +36,14 @@ class Profile:
                     "highest": f"{value.max():.4g}",
                     "std": f"{std:.3g}",
                     "excess kurtosis": f"{kurtosis:.2g}",
-                    "mind": note,
+                    "note": note,
                 }
             )
         return rows
 
 
 def profile(environment: gymnasium.Env, *, num_steps: int = 2_000, seed: int = 0) -> Profile:
-    """Take uniformly random actions and look at what comes.
+    """Take uniformly random actions and record the observations.
 
     Args:
         environment: With vector observations and actions in [-1, 1].

@@ -9,14 +9,14 @@ from gymnasium import spaces
 from stable_baselines3.common.type_aliases import PyTorchObs
 from torch import Tensor
 
-from deep_curiosity.integrations.stable_baselines3.spaces import CPU, bounded_space, observed_space
 from deep_curiosity.bonuses.base import Bonus, Policy
 from deep_curiosity.bonuses.learner import BonusLearner
 from deep_curiosity.bonuses.registry import make_bonus
+from deep_curiosity.integrations.stable_baselines3.spaces import CPU, bounded_space, observed_space
 from deep_curiosity.transitions import Transition
 
 Actor = Callable[[PyTorchObs], Tensor]
-"""Draws actions in [-1, 1] for observations as the agent's own networks take them."""
+"""Samples actions in [-1, 1] for observations as the agent's own networks take them."""
 
 
 class BonusAttachment:
@@ -26,13 +26,13 @@ class BonusAttachment:
         observation_space: Of the environment.
         action_space: Of the environment.
         bonus: A name from `BONUSES`, or a bonus, which is then used itself and not copied.
-        bonus_kwargs: Options of the bonus, where it is given by name.
+        bonus_kwargs: Settings of the bonus as `make_bonus` takes them, where it is given by name.
         learning_rate: Of the networks of the bonus.
         update_interval: Batches from one gradient step of the bonus to the next.
-        observation_key: Entry of a dictionary observation that the bonus sees.
+        observation_key: Entry of a dictionary observation that the bonus is about.
 
     Raises:
-        TypeError: If `bonus` is neither a name nor a bonus.
+        TypeError: If `bonus` is neither a name nor a bonus, or has no such setting.
         ValueError: If the spaces hold no vectors, or an option is out of range or out of place.
     """
 
@@ -70,11 +70,11 @@ class BonusAttachment:
         return self
 
     def select_observation(self, observation: Any) -> Any:
-        """What the bonus sees of an observation, or of all that are stored."""
+        """The part of an observation, or of all that are stored, that the bonus is about."""
         return observation if self.observation_key is None else observation[self.observation_key]
 
     def learn(self, transition: Transition, actor_input: PyTorchObs | None = None) -> None:
-        """Let the bonus see a batch and learn from it at its own pace.
+        """Show the bonus a batch, and let it learn from it at its own pace.
 
         Args:
             transition: Raw, in the units of the environment.
@@ -122,13 +122,14 @@ def _find_bonus(
 
 
 def _policy_at(observation: Tensor, actor: Actor, actor_input: PyTorchObs) -> Policy:
-    """The actor as a function of what the bonus sees, known at the rows of one batch only."""
+    """The actor as a function of the observations of one batch, as the bonus is given them."""
 
-    def act(asked: Tensor) -> Tensor:
-        if asked is not observation:
+    def act(queried: Tensor) -> Tensor:
+        if queried is not observation:
             raise ValueError(
-                "`policy` must be asked at `transition.observation` itself, since the agent may "
-                f"see more than the bonus, got another tensor of shape {tuple(asked.shape)}."
+                "`policy` must be called with `transition.observation` itself, since the agent "
+                "may observe more than the bonus, got another tensor of shape "
+                f"{tuple(queried.shape)}."
             )
         return actor(actor_input)
 

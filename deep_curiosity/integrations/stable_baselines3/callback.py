@@ -1,4 +1,4 @@
-"""The callback that tells a curious buffer about its agent, and the logger about the bonus."""
+"""The callback that connects a curious buffer with its agent and with the logger."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,8 +22,8 @@ class CuriosityCallback(BaseCallback):
     """Gives the bonus fresh actions of the agent, and logs the bonus under `curiosity/`.
 
     For SAC and its kin it may be left out: the bonus then takes a batch's own actions for what the
-    agent would do now, and nothing is logged. For PPO and A2C it must be there, since only it sees
-    the true successor where an episode ended.
+    agent would do now, and nothing is logged. For PPO and A2C it must be there, since only it is
+    given the true next observation where an episode ended.
 
     Args:
         log_interval: Least number of environment steps from one record to the next. What is
@@ -96,18 +96,16 @@ class CuriosityCallback(BaseCallback):
         return action
 
     def _record_step(self, buffer: CuriousRolloutBuffer) -> None:
-        following = self._raw(self.locals["new_obs"])
+        next_observation = self._raw(self.locals["new_obs"])
         infos, done = self.locals["infos"], self.locals["dones"]
         select = buffer.attachment.select_observation
-        successor = np.array(select(following))
-        for index in np.flatnonzero(done):  # the environment was reset: `following` is a start
-            successor[index] = select(self._unnormalized(infos[index]["terminal_observation"]))
+        final = np.array(select(next_observation))
+        for index in np.flatnonzero(done):  # the environment has been reset since
+            final[index] = select(self._unnormalized(infos[index]["terminal_observation"]))
         timeout = np.array([info.get("TimeLimit.truncated", False) for info in infos])
         actions = self.locals["clipped_actions"]
-        buffer.record(
-            select(self._observation), actions, self._raw_reward(), successor, done, timeout
-        )
-        self._observation = following
+        buffer.record(select(self._observation), actions, self._raw_reward(), final, done, timeout)
+        self._observation = next_observation
 
     def _raw(self, observation: Any) -> Any:
         """The newest observation, in the units of the environment."""

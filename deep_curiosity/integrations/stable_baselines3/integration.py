@@ -16,13 +16,13 @@ from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor
 
-from deep_curiosity.integrations.stable_baselines3.callback import CuriosityCallback
+from deep_curiosity.bonuses.base import Bonus
+from deep_curiosity.integrations.base import Integration
 from deep_curiosity.integrations.stable_baselines3.attachment import BonusAttachment
+from deep_curiosity.integrations.stable_baselines3.callback import CuriosityCallback
 from deep_curiosity.integrations.stable_baselines3.recording import postponed, recorded
 from deep_curiosity.integrations.stable_baselines3.replay import CuriousReplayBuffer
 from deep_curiosity.integrations.stable_baselines3.rollout import CuriousRolloutBuffer
-from deep_curiosity.bonuses.base import Bonus
-from deep_curiosity.integrations.base import Integration
 from deep_curiosity.transitions import Transition
 
 Agent = TypeVar("Agent", bound=BaseAlgorithm)
@@ -161,7 +161,7 @@ class StableBaselinesOnPolicyIntegration(_Integration[OnPolicyAlgorithm]):
     def load(self, folder: Path) -> "StableBaselinesOnPolicyIntegration":
         """Another agent, as `save` left it."""
         env = self.make_env()
-        # the rollout stays unfinished business: its last observation is still needed
+        # without a reset, since the last observation of the rollout is still needed
         model = type(self.model).load(folder / MODEL, env=env, force_reset=False)
         model.rollout_buffer = load_from_pkl(folder / BUFFER)
         model.rollout_buffer.device = model.device

@@ -28,11 +28,11 @@ def recorded(env: VecEnv, attachment: BonusAttachment) -> Iterator[list[Transiti
         step_async(action)
 
     def step_and_record() -> Any:
-        following, reward, done, infos = step_wait()
-        step = latest["observation"], latest["action"], reward, following, done, infos
+        next_observation, reward, done, infos = step_wait()
+        step = latest["observation"], latest["action"], reward, next_observation, done, infos
         steps.append(_ground_truth(attachment, *step))
-        latest["observation"] = following
-        return following, reward, done, infos
+        latest["observation"] = next_observation
+        return next_observation, reward, done, infos
 
     spies = {"reset": reset_and_note, "step_async": note_action, "step_wait": step_and_record}
     vars(env).update(spies)
@@ -48,20 +48,20 @@ def _ground_truth(
     observation: Any,
     action: np.ndarray,
     reward: np.ndarray,
-    following: Any,
+    next_observation: Any,
     done: np.ndarray,
     infos: list[dict[str, Any]],
 ) -> Transition:
     """A step of all environments, copied before any wrapper can change it."""
-    successor = np.array(attachment.select_observation(following))
+    final = np.array(attachment.select_observation(next_observation))
     for index in np.flatnonzero(done):
-        successor[index] = attachment.select_observation(infos[index]["terminal_observation"])
+        final[index] = attachment.select_observation(infos[index]["terminal_observation"])
     timeout = np.array([info["TimeLimit.truncated"] for info in infos])
     return Transition(
         observation=batch_of(attachment.select_observation(observation)),
         action=batch_of(scaled(action, attachment.action_space)),
         reward=batch_of(reward),
-        next_observation=batch_of(successor),
+        next_observation=batch_of(final),
         terminated=mask_of(done & ~timeout),
         truncated=mask_of(done & timeout),
     )

@@ -11,19 +11,19 @@ from stable_baselines3.common.type_aliases import DictReplayBufferSamples, Repla
 from stable_baselines3.common.vec_env import VecNormalize
 from torch import Tensor
 
+from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.integrations.stable_baselines3.attachment import BonusAttachment
 from deep_curiosity.integrations.stable_baselines3.spaces import batch_of, mask_of
-from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.transitions import Transition
 
 
 class CuriousReplayBuffer(ReplayBuffer):
     """A replay buffer that adds a bonus to the rewards of every batch, when it is sampled.
 
-    Each call of `sample` shows the batch to the bonus, lets it learn at its own pace and then asks
-    it, so that no bonus is ever older than the batch. Stored rewards stay those of the
-    environment. The bonus sees raw observations, also under `VecNormalize`: it whitens them
-    itself, and is added to the normalised reward.
+    Each call of `sample` shows the batch to the bonus, lets it learn at its own pace and then
+    computes it, so that no bonus is ever older than the batch. Stored rewards stay those of the
+    environment. The bonus is given raw observations, also under `VecNormalize`: it whitens
+    them itself, and is added to the normalised reward.
 
     Args:
         buffer_size: Given by the agent, as are the next four.
@@ -32,10 +32,10 @@ class CuriousReplayBuffer(ReplayBuffer):
         device: Of the samples and of the bonus.
         n_envs: Environments side by side.
         bonus: A name from `BONUSES`, or a bonus, which is then used itself and not copied.
-        bonus_kwargs: Options of the bonus, where it is given by name.
+        bonus_kwargs: Settings of the bonus as `make_bonus` takes them, where it is given by name.
         learning_rate: Of the networks of the bonus.
         update_interval: Samples from one gradient step of the bonus to the next.
-        observation_key: Entry of a dictionary observation that the bonus sees.
+        observation_key: Entry of a dictionary observation that the bonus is about.
         **options: Of the buffer that this one extends.
 
     Raises:
@@ -65,8 +65,8 @@ class CuriousReplayBuffer(ReplayBuffer):
             )
         if options.get("optimize_memory_usage"):
             raise ValueError(
-                "`optimize_memory_usage` must be False, got True: it overwrites the successor of "
-                "the last step of an episode, from which the bonus would learn."
+                "`optimize_memory_usage` must be False, got True: it overwrites the next "
+                "observation of the last step of an episode, from which the bonus would learn."
             )
         self.attachment = BonusAttachment(
             observation_space,
@@ -108,19 +108,21 @@ class CuriousReplayBuffer(ReplayBuffer):
     def _get_samples(  # type: ignore[override]  # of a dictionary buffer, whose samples differ
         self, batch_inds: np.ndarray, env: VecNormalize | None = None
     ) -> ReplayBufferSamples | DictReplayBufferSamples:
-        # the library draws from numpy's global stream, and nowhere else
+        # the library samples from numpy's global stream, and nowhere else
         state = np.random.get_state()  # noqa: NPY002
         samples = super()._get_samples(batch_inds, env)
         np.random.set_state(state)  # noqa: NPY002
-        # the first draw inside, which says from which environment each row comes, once more
+        # the first sample inside, which says from which environment each row comes, once more
         columns = np.random.randint(0, self.n_envs, size=len(batch_inds))  # noqa: NPY002
         transition = self.transition(batch_inds, columns)
         self.attachment.to(self.device).learn(transition, samples.observations)
         bonus = self._compute_bonus(transition, batch_inds, columns)
         return samples._replace(rewards=samples.rewards + bonus.unsqueeze(-1))
 
-    def _compute_bonus(self, transition: Transition, rows: np.ndarray, columns: np.ndarray) -> Tensor:
-        """What is added to the rewards of a batch, which the bonus has just seen."""
+    def _compute_bonus(
+        self, transition: Transition, rows: np.ndarray, columns: np.ndarray
+    ) -> Tensor:
+        """What is added to the rewards of a batch, which the bonus has just learned from."""
         return self.attachment.compute(transition)
 
 
@@ -134,13 +136,15 @@ class CuriousNStepReplayBuffer(CuriousReplayBuffer, NStepReplayBuffer):  # type:
         **options: As for `CuriousReplayBuffer`.
     """
 
-    def _compute_bonus(self, transition: Transition, rows: np.ndarray, columns: np.ndarray) -> Tensor:
+    def _compute_bonus(
+        self, transition: Transition, rows: np.ndarray, columns: np.ndarray
+    ) -> Tensor:
         steps = (rows[:, None] + np.arange(self.n_steps)) % self.buffer_size  # batch n_steps
         columns = np.broadcast_to(columns[:, None], steps.shape)
         summed = self._before_the_end(steps, columns)
         bonus = torch.zeros(steps.shape, device=self.device)
-        asked = self.transition(steps[summed], columns[summed])
-        bonus[mask_of(summed, self.device)] = self.attachment.compute(asked)
+        transition = self.transition(steps[summed], columns[summed])
+        bonus[mask_of(summed, self.device)] = self.attachment.compute(transition)
         return bonus @ self.gamma ** torch.arange(self.n_steps, device=self.device)
 
     def _before_the_end(self, steps: np.ndarray, columns: np.ndarray) -> np.ndarray:
@@ -151,7 +155,7 @@ class CuriousNStepReplayBuffer(CuriousReplayBuffer, NStepReplayBuffer):  # type:
 
 
 class CuriousDictReplayBuffer(CuriousReplayBuffer, DictReplayBuffer):  # type: ignore[misc]
-    """The same for dictionary observations, of which the bonus sees one entry.
+    """The same for dictionary observations, of which the bonus is about one entry.
 
     Args:
         *args: As for `CuriousReplayBuffer`, of which `observation_key` must now be given.

@@ -9,9 +9,9 @@ from gymnasium import spaces
 from stable_baselines3.common.buffers import DictRolloutBuffer, RolloutBuffer
 from torch import Tensor
 
+from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.integrations.stable_baselines3.attachment import BonusAttachment
 from deep_curiosity.integrations.stable_baselines3.spaces import batch_of, mask_of, scaled
-from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.transitions import Transition, check_counts
 
 
@@ -19,23 +19,23 @@ class CuriousRolloutBuffer(RolloutBuffer):
     """A rollout buffer whose advantages come from reward plus bonus.
 
     When a rollout is complete the bonus learns from it, in minibatches and at its own pace, and is
-    then asked. Stored rewards stay those of the environment. What the library's rollout lacks is
-    brought by `CuriosityCallback`, without which this buffer refuses to work: the successor where
-    an episode ended, how it ended, and raw observations under `VecNormalize`.
+    then computed. Stored rewards stay those of the environment. What the library's rollout lacks
+    is brought by `CuriosityCallback`, without which this buffer refuses to work: the next
+    observation where an episode ended, how it ended, and raw observations under `VecNormalize`.
 
     Args:
         buffer_size: Given by the agent, as are the next six.
         observation_space: Of the environment.
-        action_space: Of the environment; what the policy draws beyond its bounds is clipped.
+        action_space: Of the environment; what the policy samples beyond its bounds is clipped.
         device: Of the samples and of the bonus.
         gae_lambda: Of the advantages.
         gamma: Discount of the agent.
         n_envs: Environments side by side.
         bonus: A name from `BONUSES`, or a bonus, which is then used itself and not copied.
-        bonus_kwargs: Options of the bonus, where it is given by name.
+        bonus_kwargs: Settings of the bonus as `make_bonus` takes them, where it is given by name.
         learning_rate: Of the networks of the bonus.
         update_interval: Minibatches from one gradient step of the bonus to the next.
-        observation_key: Entry of a dictionary observation that the bonus sees.
+        observation_key: Entry of a dictionary observation that the bonus is about.
         batch_size: Steps in a minibatch of the bonus.
         epochs: Times that the bonus goes through a rollout.
 
@@ -107,10 +107,10 @@ class CuriousRolloutBuffer(RolloutBuffer):
         """Keep a step of all environments as they gave it; the callback calls this.
 
         Args:
-            observation: Raw, what the bonus sees of it.
+            observation: Raw, the part of it that the bonus is about.
             action: Within the bounds of the action space.
             reward: Raw.
-            next_observation: Raw, the true successor also where an episode ended.
+            next_observation: Raw, the true one also where an episode ended.
             done: Where an episode ended.
             timeout: Where it was a clock that ended it.
         """
@@ -158,7 +158,7 @@ class CuriousRolloutBuffer(RolloutBuffer):
 
 
 class CuriousDictRolloutBuffer(CuriousRolloutBuffer, DictRolloutBuffer):  # type: ignore[misc]
-    """The same for dictionary observations, of which the bonus sees one entry.
+    """The same for dictionary observations, of which the bonus is about one entry.
 
     Args:
         *args: As for `CuriousRolloutBuffer`, of which `observation_key` must now be given.

@@ -9,14 +9,14 @@ CPU = torch.device("cpu")
 
 
 def observed_space(space: spaces.Space, key: str | None) -> spaces.Box:
-    """Space of the observations that the bonus sees.
+    """Space of the observations that the bonus is given.
 
     Args:
         space: Of the environment.
         key: Entry of a dictionary space; `None` where there is no dictionary.
 
     Raises:
-        ValueError: If the key is missing, unknown or out of place, or what is seen no vector.
+        ValueError: If the key is missing, unknown or out of place, or the observation no vector.
     """
     if isinstance(space, spaces.Dict):
         if key not in space.spaces:

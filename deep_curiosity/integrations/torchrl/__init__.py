@@ -8,7 +8,7 @@ from deep_curiosity.bonuses.registry import make_bonus
     >>> replay_buffer.append_transform(CuriosityTransform(learner, add_to_reward=True))
 """
 
-# ruff: noqa: E402  # whether torchrl is there is told before anything needs it
+# ruff: noqa: E402  # a missing torchrl is reported before anything needs it
 from deep_curiosity.integrations.requirements import require, warn_if_untested
 
 require("torchrl", extra="torchrl")

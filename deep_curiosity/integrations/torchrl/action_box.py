@@ -1,4 +1,4 @@
-"""The range of actions in the environment, which bonuses and priors know as [-1, 1]."""
+"""The range of actions in the environment, which is [-1, 1] for bonuses and priors."""
 
 import torch
 from torch import Tensor
@@ -10,7 +10,7 @@ UNIT_EDGE = 1 - 1e-6  # atanh is infinite at the edge of the action box
 
 
 class ActionBox:
-    """The range of actions in the environment, which a bonus knows as [-1, 1].
+    """The range of actions in the environment, which is [-1, 1] for a bonus.
 
     Args:
         low: Lowest action, one number or one for each entry.
@@ -39,7 +39,7 @@ class ActionBox:
         leaf = action_spec[action_key] if isinstance(action_spec, Composite) else action_spec
         if not isinstance(leaf, Bounded):
             raise ValueError(f"`action_spec` must be bounded, got {leaf}.")
-        last = (0,) * (leaf.ndim - 1)  # all worlds share one range
+        last = (0,) * (leaf.ndim - 1)  # all environments share one range
         return cls(leaf.space.low[last], leaf.space.high[last])
 
     @classmethod
@@ -77,5 +77,5 @@ class ActionBox:
         return 2 * (action - low) / (high - low) - 1
 
     def pre_action(self, action: Tensor) -> Tensor:
-        """What the tanh was taken of, as far as the rounded action still tells."""
+        """What the tanh was taken of, as far as the rounding of the action allows."""
         return torch.atanh(self.to_unit(action).clamp(-UNIT_EDGE, UNIT_EDGE))

@@ -13,6 +13,8 @@ from torchrl.objectives import SACLoss, ValueEstimators
 from torchrl.objectives.sac import compute_rsample_log_prob
 from torchrl.objectives.utils import _cache_values, build_value_estimator, distance_loss
 
+from deep_curiosity.agent.networks import PRIORS, log_abs_det_tanh
+from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.integrations.torchrl.action_box import Key
 from deep_curiosity.integrations.torchrl.arguments import (
     action_box,
@@ -22,13 +24,11 @@ from deep_curiosity.integrations.torchrl.arguments import (
     target_entropy,
 )
 from deep_curiosity.integrations.torchrl.tensordicts import TransitionKeys, TransitionReader
-from deep_curiosity.agent.networks import PRIORS, log_abs_det_tanh
-from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.nn.networks import frozen
 
 
-class ActionDraw(NamedTuple):
-    """Actions of the policy, and what is known of them in nats."""
+class ActionSample(NamedTuple):
+    """Actions of the policy, their log density and information cost in nats."""
 
     action: Tensor
     log_prob: Tensor
@@ -40,10 +40,10 @@ class CuriousActorCriticLoss(SACLoss):
 
     .. math:: \pi(a|x) \propto p(a) \exp((Q_D(x, a) + \alpha Q(x, a)) / \lambda)
 
-    `Q` is learned from the reward alone and `Q_D` from the bonus, which is asked afresh for every
-    batch: the reward must not hold it as well. Without a bonus and with the uniform prior this is
-    `SACLoss`, to the last term. Written are `loss_actor`, `loss_qvalue` and `loss_alpha`, as
-    there; `loss_curiosity` of the curiosity critics; and `loss_prior` of a learned prior. The
+    `Q` is learned from the reward alone and `Q_D` from the bonus, which is computed afresh for
+    every batch: the reward must not hold it as well. Without a bonus and with the uniform prior
+    this is `SACLoss`, to the last term. Written are `loss_actor`, `loss_qvalue` and `loss_alpha`,
+    as there; `loss_curiosity` of the curiosity critics; and `loss_prior` of a learned prior. The
     gradient of each reaches its own parameters only.
 
     The bonus is not part of this module: a `CuriosityTransform` on the replay buffer, or a
@@ -52,7 +52,7 @@ class CuriousActorCriticLoss(SACLoss):
     Args:
         actor_network: As `SACLoss` takes it, over actions in a bounded range.
         qvalue_network: As `SACLoss` takes it; the curiosity critics get the same architecture.
-        bonus: BonusFunction for each batch; `None` for no curiosity.
+        bonus: What is computed for each batch; `None` for no curiosity.
         curiosity_discount: Of the bonus, per step. 0 is the paper's equation as written: the actor
             maximises the bonus itself, differentiated through the model, and no critic learns it.
         hunger: Weight of the extrinsic value, alpha; may be set at any step.
@@ -68,7 +68,7 @@ class CuriousActorCriticLoss(SACLoss):
 
     Raises:
         TypeError: If an option of `SACLoss` means nothing here.
-        ValueError: If a number is out of range, or a bonus that scores outcomes is to be maximised.
+        ValueError: If a number is out of range, or a bonus to be maximised scores outcomes.
 
     Reference: Still & Precup (2012), equations (10), (14), (21); Haarnoja et al., "Soft
     Actor-Critic Algorithms and Applications" (2018), https://arxiv.org/abs/1812.05905.
@@ -170,13 +170,13 @@ class CuriousActorCriticLoss(SACLoss):
 
     def actor_loss(self, tensordict: TensorDictBase) -> tuple[Tensor, dict[str, Tensor]]:
         r"""Loss of the actor, :math:`E[\lambda (\log \pi - \log p) - \alpha Q - Q_D]`."""
-        draw = self._draw(tensordict)
-        chosen = tensordict.copy().set(self.tensor_keys.action, draw.action)
+        sample = self._sample(tensordict)
+        chosen = tensordict.copy().set(self.tensor_keys.action, sample.action)
         value = self._lower_value(chosen, self._cached_detached_qvalue_params)
-        loss = self._alpha * draw.information_cost - self.hunger * value
+        loss = self._alpha * sample.information_cost - self.hunger * value
         if self.reader is not None:
             loss = loss - self._curiosity_value(chosen, self.reader)
-        metadata = {name: part.detach() for name, part in draw._asdict().items()}
+        metadata = {name: part.detach() for name, part in sample._asdict().items()}
         return self._reduced(loss, tensordict), metadata
 
     def make_value_estimator(
@@ -214,7 +214,7 @@ class CuriousActorCriticLoss(SACLoss):
             compare_against=shared,
         )
 
-    def _draw(self, tensordict: TensorDictBase) -> ActionDraw:
+    def _sample(self, tensordict: TensorDictBase) -> ActionSample:
         """Fresh actions of the policy, differentiable."""
         with (
             set_exploration_type(ExplorationType.RANDOM),
@@ -223,27 +223,27 @@ class CuriousActorCriticLoss(SACLoss):
             policy = self.actor_network.get_dist(tensordict)
             action, log_prob = compute_rsample_log_prob(policy)
         if self.prior is None:
-            return ActionDraw(action, log_prob, log_prob)
+            return ActionSample(action, log_prob, log_prob)
         pre_action = self.box.pre_action(action)
         with frozen(self.prior):
             log_prior = self.prior.log_prob(pre_action) - log_abs_det_tanh(pre_action)
         log_prior = log_prior - self.box.log_half_volume  # density in the units of the action
-        return ActionDraw(action, log_prob, log_prob - log_prior)
+        return ActionSample(action, log_prob, log_prob - log_prior)
 
     @torch.no_grad()
     def _targets(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor | None]:
         """Targets of the extrinsic value and, where it is learned, of the curiosity value."""
         tensordict = tensordict.clone(False)
-        following = tensordict.get("next")
-        draw = self._draw(following)
-        chosen = following.copy().set(self.tensor_keys.action, draw.action)
+        next_tensordict = tensordict.get("next")
+        sample = self._sample(next_tensordict)
+        chosen = next_tensordict.copy().set(self.tensor_keys.action, sample.action)
         value = self._lower_value(chosen, self.target_qvalue_network_params)
         if self.soft_backup:
-            value = value - self._alpha * draw.information_cost
+            value = value - self._alpha * sample.information_cost
         target = _backed_up(tensordict, value, self.value_estimator)
         if self.reader is None or not self.has_curiosity_critic:
             return target, None
-        following.set(self.tensor_keys.curiosity, self._bonus(tensordict, self.reader))
+        next_tensordict.set(self.tensor_keys.curiosity, self._bonus(tensordict, self.reader))
         value = self._lower_value(chosen, self.target_curiosity_network_params)
         return target, _backed_up(tensordict, value, self._curiosity_estimator)
 
@@ -274,9 +274,9 @@ class CuriousActorCriticLoss(SACLoss):
         self, tensordict: TensorDictBase, params: TensorDictBase | TensorDictParams
     ) -> Tensor:
         """Value of each pair by each critic."""
-        asked = tensordict.select(*self.qvalue_network.in_keys, strict=False)
-        answered = self._vmap_qnetworkN0(asked, params)
-        value: Tensor = answered.get(self.tensor_keys.state_action_value).squeeze(-1)
+        pair = tensordict.select(*self.qvalue_network.in_keys, strict=False)
+        values = self._vmap_qnetworkN0(pair, params)
+        value: Tensor = values.get(self.tensor_keys.state_action_value).squeeze(-1)
         return value
 
     def _lower_value(
@@ -314,7 +314,7 @@ class CuriousActorCriticLoss(SACLoss):
 
 
 def _backed_up(tensordict: TensorDictBase, next_value: Tensor, estimator: Any) -> Tensor:
-    """Target by a value estimator, from the value of what follows."""
+    """Target by a value estimator, from the value of the next state."""
     tensordict.set(("next", estimator.tensor_keys.value), next_value.unsqueeze(-1))
     target: Tensor = estimator.value_estimate(tensordict).squeeze(-1)
     return target

@@ -1,4 +1,4 @@
-"""What the actor-critic loss is told: checked, and said in the terms of `SACLoss`."""
+"""Arguments of the actor-critic loss: checked, and translated to those of `SACLoss`."""
 
 import math
 from typing import Any, Literal
@@ -6,18 +6,18 @@ from typing import Any, Literal
 from tensordict.nn import ProbabilisticTensorDictSequential
 from torchrl.data import TensorSpec
 
-from deep_curiosity.integrations.torchrl.action_box import ActionBox
 from deep_curiosity.agent.networks import PRIORS
 from deep_curiosity.bonuses.base import Bonus
+from deep_curiosity.integrations.torchrl.action_box import ActionBox
 
 REFUSED_OPTIONS = {"value_network", "target_entropy", "skip_done_states", "delay_actor"}
-"""Keyword arguments of `SACLoss` that mean nothing here, or are said otherwise."""
+"""Keyword arguments of `SACLoss` that mean nothing here, or have another name."""
 
 
 def action_box(
     actor_network: ProbabilisticTensorDictSequential, action_spec: TensorSpec | None
 ) -> ActionBox:
-    """Range of the actions: as told, or as the actor knows it, or else [-1, 1]."""
+    """Range of the actions: as given, or as the actor has it, or else [-1, 1]."""
     if action_spec is None:
         action_spec = getattr(actor_network, "spec", None)
     if action_spec is None:
@@ -28,7 +28,7 @@ def action_box(
 def target_entropy(
     target_information_rate: float | None, prior: str, box: ActionBox
 ) -> float | Literal["auto"]:
-    """What `SACLoss` is told, so that the rate from the prior is held."""
+    """Target entropy for `SACLoss`, by which the rate from the prior is held."""
     if target_information_rate is None:
         return "auto"
     log_volume = box.log_half_volume + box.dim * math.log(2)

@@ -10,13 +10,13 @@ from torch import Tensor
 from torchrl.data import TensorSpec
 from torchrl.objectives import LossModule
 
+from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.integrations.torchrl.action_box import ActionBox
 from deep_curiosity.integrations.torchrl.tensordicts import (
     FreshActions,
     TransitionKeys,
     TransitionReader,
 )
-from deep_curiosity.bonuses.base import Bonus
 
 
 class BonusLoss(LossModule):
@@ -28,7 +28,7 @@ class BonusLoss(LossModule):
     Args:
         bonus: What is learned.
         observe: Also show the bonus each batch, so that it renews its statistics.
-        policy: Draws fresh actions for `Bonus.observe`; `None` takes those of the batch.
+        policy: Samples fresh actions for `Bonus.observe`; `None` takes those of the batch.
         action_spec: Range of the actions; `low` and `high` when `None`.
         low: Lowest action. The bonus is given actions brought to [-1, 1].
         high: Highest action.

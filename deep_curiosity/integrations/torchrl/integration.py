@@ -14,10 +14,10 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives import SACLoss
 from torchrl.objectives.utils import TargetNetUpdater
 
-from deep_curiosity.integrations.torchrl.actor_critic_loss import CuriousActorCriticLoss
-from deep_curiosity.integrations.torchrl.transform import CuriosityTransform
 from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.integrations.base import Integration
+from deep_curiosity.integrations.torchrl.actor_critic_loss import CuriousActorCriticLoss
+from deep_curiosity.integrations.torchrl.transform import CuriosityTransform
 from deep_curiosity.transitions import Transition
 
 
@@ -26,7 +26,7 @@ class TorchRLAgent:
     """The parts of a torchrl script.
 
     Args:
-        env: Where the actor acts; one world.
+        env: A single environment, in which the actor acts.
         actor: The policy that collects.
         loss: `SACLoss`, or `CuriousActorCriticLoss` with the bonus of the transform.
         optimizer: Over the parameters of the loss.

@@ -11,8 +11,8 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from deep_curiosity.integrations.torchrl.action_box import ActionBox, Key
 from deep_curiosity.bonuses.base import Bonus
+from deep_curiosity.integrations.torchrl.action_box import ActionBox, Key
 from deep_curiosity.transitions import Transition
 
 
@@ -42,29 +42,29 @@ class TransitionReader:
         self.box = box
 
     def read(
-        self, tensordict: TensorDictBase, following: TensorDictBase | None = None
+        self, tensordict: TensorDictBase, next_tensordict: TensorDictBase | None = None
     ) -> Transition:
         """All leading dimensions as one batch.
 
         Args:
             tensordict: Holds observation and action.
-            following: Holds what came of it; the entry `"next"` when `None`.
+            next_tensordict: Holds its outcome; the entry `"next"` when `None`.
 
         Raises:
             KeyError: If an entry is missing; `truncated` alone may be.
             ValueError: If an entry has not one number for each observation.
         """
-        if following is None:
-            following = _entry(tensordict, "next")
+        if next_tensordict is None:
+            next_tensordict = _entry(tensordict, "next")
         observation, action = self.read_pair(tensordict)
         like, batch = observation, observation.shape[0]
         return Transition(
             observation=observation,
             action=action,
-            reward=self._scalars(following, self.keys.reward, batch).to(like),
-            next_observation=_vectors(_entry(following, self.keys.observation)).to(like),
-            terminated=self._flags(following, self.keys.terminated, batch).to(like.device),
-            truncated=self._flags_or_none(following, batch).to(like.device),
+            reward=self._scalars(next_tensordict, self.keys.reward, batch).to(like),
+            next_observation=_vectors(_entry(next_tensordict, self.keys.observation)).to(like),
+            terminated=self._flags(next_tensordict, self.keys.terminated, batch).to(like.device),
+            truncated=self._flags_or_none(next_tensordict, batch).to(like.device),
         )
 
     def read_pair(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
@@ -78,23 +78,23 @@ class TransitionReader:
     def compute(self, transition: Transition, like: Tensor) -> Tensor:
         """Bonus of each transition, in shape, dtype and device like the reward.
 
-        Zero while the bonus cannot be asked yet.
+        Zero while the bonus is not ready.
         """
         if not self.bonus.ready:
             return torch.zeros_like(like)
         observation, action, _, next_observation, *_ = transition
         return self.bonus(observation, action, next_observation).reshape(like.shape).to(like)
 
-    def _flags(self, following: TensorDictBase, key: Key, batch: int) -> Tensor:
-        return self._scalars(following, key, batch).bool()
+    def _flags(self, next_tensordict: TensorDictBase, key: Key, batch: int) -> Tensor:
+        return self._scalars(next_tensordict, key, batch).bool()
 
-    def _flags_or_none(self, following: TensorDictBase, batch: int) -> Tensor:
-        if following.get(self.keys.truncated, None) is None:
+    def _flags_or_none(self, next_tensordict: TensorDictBase, batch: int) -> Tensor:
+        if next_tensordict.get(self.keys.truncated, None) is None:
             return torch.zeros(batch, dtype=torch.bool)
-        return self._flags(following, self.keys.truncated, batch)
+        return self._flags(next_tensordict, self.keys.truncated, batch)
 
-    def _scalars(self, following: TensorDictBase, key: Key, batch: int) -> Tensor:
-        value = _entry(following, key)
+    def _scalars(self, next_tensordict: TensorDictBase, key: Key, batch: int) -> Tensor:
+        value = _entry(next_tensordict, key)
         if value.numel() != batch:
             raise ValueError(
                 f"`{key}` must hold one number for each of {batch} observations, "
@@ -104,7 +104,7 @@ class TransitionReader:
 
 
 class FreshActions:
-    """A torchrl policy as a bonus asks it: observations in, random actions in [-1, 1] out.
+    """A torchrl policy as a bonus calls it: observations in, random actions in [-1, 1] out.
 
     Args:
         policy: Reads the observation and writes the action.
@@ -119,7 +119,7 @@ class FreshActions:
     def __call__(
         self, observation: Float[Tensor, "batch observation_dim"]
     ) -> Float[Tensor, "batch action_dim"]:
-        """Draw an action at each observation."""
+        """Sample an action at each observation."""
         keys = self.reader.keys
         tensordict = TensorDict({}, batch_size=observation.shape[:1], device=observation.device)
         tensordict.set(keys.observation, observation)

@@ -6,38 +6,38 @@ from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs import Transform
 
+from deep_curiosity.bonuses.base import Bonus
+from deep_curiosity.bonuses.learner import BonusLearner
 from deep_curiosity.integrations.torchrl.action_box import ActionBox, Key
 from deep_curiosity.integrations.torchrl.tensordicts import (
     FreshActions,
     TransitionKeys,
     TransitionReader,
 )
-from deep_curiosity.bonuses.base import Bonus
-from deep_curiosity.bonuses.learner import BonusLearner
 
 
 class CuriosityTransform(Transform):
     """Writes the bonus of every transition under `("next", "curiosity")`.
 
-    In a replay buffer it is asked afresh for each sampled batch, and a `BonusLearner` learns from
-    that batch first. The storage keeps the rewards of the environment. Reading the buffer by index
-    passes through its transforms as well; `buffer.storage[...]` does not.
+    In a replay buffer it is computed afresh for each sampled batch, after a `BonusLearner` has
+    learned from that batch. The storage keeps the rewards of the environment. Reading the
+    buffer by index passes through its transforms as well; `buffer.storage[...]` does not.
 
     In an environment the bonus of each step is written as one more reward and nothing is learned
     or added. Until the bonus has observed a batch, it counts as zero.
 
     Args:
         bonus: A `BonusLearner`, which learns at each sample at its own pace, or a `Bonus`, which
-            is only asked.
+            is only computed.
         add_to_reward: Also add the bonus to the reward of each sampled batch.
-        policy: Draws fresh actions for `Bonus.observe`; `None` takes the sampled ones.
+        policy: Samples fresh actions for `Bonus.observe`; `None` takes the sampled ones.
         action_spec: Range of the actions, as `env.action_spec`; `low` and `high` when `None`.
         low: Lowest action. The bonus is given actions brought to [-1, 1].
         high: Highest action.
         observation_key: Of a vector, here and under `"next"`; all keys may be nested.
         action_key: Of the action.
-        reward_key: Of the reward, under `"next"` as those that follow.
-        terminated_key: Of the flag that the world has ended.
+        reward_key: Of the reward, under `"next"`, as are the flags.
+        terminated_key: Of the flag that the episode has terminated.
         truncated_key: Of the flag that a clock has ended the episode; may be missing in the data.
         out_key: Where the bonus is written.
 
@@ -81,12 +81,12 @@ class CuriosityTransform(Transform):
         transition = self.reader.read(tensordict)
         if isinstance(self.source, BonusLearner):
             self.source.learn(transition, self.policy)
-        following = tensordict.get("next")
-        reward = following.get(self.reader.keys.reward)
+        next_tensordict = tensordict.get("next")
+        reward = next_tensordict.get(self.reader.keys.reward)
         bonus = self.reader.compute(transition, like=reward)
-        following.set(self.out_keys[0], bonus)
+        next_tensordict.set(self.out_keys[0], bonus)
         if self.add_to_reward:
-            following.set(self.reader.keys.reward, reward + bonus)
+            next_tensordict.set(self.reader.keys.reward, reward + bonus)
         return tensordict
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:

@@ -1,4 +1,3 @@
-from dataclasses import replace
 
 import pytest
 import torch
@@ -11,12 +10,12 @@ QUESTIONS = ["finite", "not constant", "raw", "ends", "targets", "fresh", "actor
 
 @pytest.fixture
 def settings(tiny):
-    return replace(tiny, hidden_dim=8, batch_size=16)
+    return tiny.override(hidden_dim=8, batch_size=16)
 
 
 @pytest.mark.parametrize("bonus", ["curiosity", "information-gain", "hash-count"])
 def test_the_trainers_own_agent_passes(settings, bonus):
-    report = check_integration(LearnerIntegration(replace(settings, bonus=bonus)), num_steps=250)
+    report = check_integration(LearnerIntegration(settings.override(bonus=bonus)), num_steps=250)
     assert [finding.question for finding in report.findings] == QUESTIONS
     assert report.passed, report
     assert all(finding.passed for finding in report.findings), report
@@ -28,7 +27,7 @@ def test_ends_are_not_judged_before_an_episode_has_ended(settings):
 
 
 def test_a_constant_bonus_fails_by_its_line_and_no_other(settings):
-    report = check_integration(LearnerIntegration(replace(settings, bonus="constant")))
+    report = check_integration(LearnerIntegration(settings.override(bonus="constant")))
     assert [f.question for f in report.findings if f.passed is False] == ["not constant"]
     assert not report.passed
 
@@ -100,4 +99,4 @@ def test_an_agent_that_cannot_learn_is_told_by_its_error(settings):
 
 def test_a_run_without_a_bonus_cannot_be_checked(settings):
     with pytest.raises(ValueError, match="`bonus` must not be 'none'"):
-        LearnerIntegration(replace(settings, bonus="none"))
+        LearnerIntegration(settings.override(bonus="none"))

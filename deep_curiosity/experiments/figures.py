@@ -1,0 +1,104 @@
+"""Figures of studies: learning curves, and what was measured, with intervals over seeds."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from deep_curiosity.experiments.statistics import Estimate, bootstrap
+from deep_curiosity.experiments.study import Row, Study
+from deep_curiosity.experiments.tables import select
+
+LABEL_GAP = 0.06  # of the height of a panel, between two labels beside the curves
+
+
+def plot_curves(path: Path, study: Study, rows: Sequence[Row], curves: Sequence[Row]) -> None:
+    """A panel for each task: interquartile mean of every agent, and its 95 % interval."""
+    figure = Figure(figsize=(5.6 * len(study.tasks), 3.9), layout="constrained")
+    for axes, task in zip(
+        figure.subplots(1, len(study.tasks), squeeze=False)[0], study.tasks, strict=True
+    ):
+        ends = {}
+        for number, agent in enumerate(study.agents):
+            solved = select(rows, "solved", **{"task": task.name, study.label: agent})
+            own = [row for row in curves if (row["task"], row[study.label]) == (task.name, agent)]
+            if own:
+                counted = "" if "" in solved else f" ({sum(solved)}/{len(solved)})"
+                ends[f"{agent}{counted}", f"C{number}"] = _plot_curve(axes, own, f"C{number}")
+        if task.solved_return == task.solved_return:
+            axes.axhline(task.solved_return, color="grey", linestyle=":", linewidth=1)
+        axes.set(title=task.name, xlabel="environment steps", ylabel="evaluation return")
+        _label_beside(axes, ends)
+    figure.savefig(path, dpi=120)
+
+
+def _plot_curve(axes: Axes, own: Sequence[Row], color: str) -> float:
+    """Plot one agent on one task; return where the curve ends."""
+    steps = sorted({row["step"] for row in own})
+    estimates = [bootstrap([select(own, "evaluation_return", step=step)]) for step in steps]
+    value, low, high = np.array(estimates).T
+    axes.plot(steps, value, color=color)
+    axes.fill_between(steps, low, high, color=color, alpha=0.15, linewidth=0)
+    return float(value[-1])
+
+
+def _label_beside(axes: Axes, ends: dict[tuple[str, str], float]) -> None:
+    """Names beside the ends of the curves, in their colours, none upon another."""
+    low, high = axes.get_ylim()
+    place = -np.inf
+    for (name, color), end in sorted(ends.items(), key=lambda item: item[1]):
+        place = max((end - low) / (high - low), place + LABEL_GAP)
+        axes.annotate(
+            name, (1.02, place), xycoords="axes fraction", color=color, va="center", fontsize=9
+        )
+
+
+def plot_columns(path: Path, study: Study, rows: Sequence[Row]) -> None:
+    """A panel for each task and column: interquartile mean, its 95 % interval, and every run."""
+    height = 1.0 + 0.34 * len(study.agents) if _is_named(study) else 3.2
+    size = 4.4 * len(study.columns), height * len(study.tasks)
+    figure = Figure(figsize=size, layout="constrained")
+    panels = figure.subplots(len(study.tasks), len(study.columns), squeeze=False)
+    for line, task in zip(panels, study.tasks, strict=True):
+        for axes, column in zip(line, study.columns, strict=True):
+            own = [row for row in rows if row["task"] == task.name and row[column] is not None]
+            axes.set_title(task.name, fontsize=10)
+            _plot_column(axes, study, own, column)
+    figure.savefig(path, dpi=120)
+
+
+def _plot_column(axes: Axes, study: Study, own: Sequence[Row], column: str) -> None:
+    """Agents beneath each other where they have names, along an axis where they are numbers."""
+    agents = [agent for agent in study.agents if select(own, column, **{study.label: agent})]
+    values = [select(own, column, **{study.label: agent}) for agent in agents]
+    estimates = [bootstrap([runs]) for runs in values]
+    title = column.replace("_", " ")
+    if _is_named(study):
+        _plot_intervals(axes, estimates, values)
+        axes.set_yticks(range(len(agents)), [str(agent) for agent in agents])
+        axes.invert_yaxis()
+        axes.set_xlabel(title)
+        return
+    for agent, runs in zip(agents, values, strict=True):
+        axes.plot([agent] * len(runs), runs, ".", color="grey", alpha=0.6)
+    if estimates:
+        value, low, high = np.array(estimates).T
+        axes.plot(agents, value, "o-")
+        axes.fill_between(agents, low, high, alpha=0.15, linewidth=0)
+    axes.set(xlabel=study.label, ylabel=title)
+
+
+def _plot_intervals(
+    axes: Axes, estimates: Sequence[Estimate], values: Sequence[Sequence[float]]
+) -> None:
+    for place, (estimate, runs) in enumerate(zip(estimates, values, strict=True)):
+        axes.plot(runs, [place] * len(runs), ".", color="grey", alpha=0.6)
+        axes.hlines(place, estimate.low, estimate.high, color="C0", linewidth=3, alpha=0.5)
+        axes.plot(estimate.value, place, "o", color="C0")
+    axes.grid(axis="x", alpha=0.3)
+
+
+def _is_named(study: Study) -> bool:
+    return any(isinstance(agent, str) for agent in study.agents)

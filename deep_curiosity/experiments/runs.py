@@ -1,0 +1,125 @@
+"""One run: begun, continued or, where it is finished, read; and what is measured of it."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from deep_curiosity import __version__
+from deep_curiosity.training.config import Config, config_key
+from deep_curiosity.training.log import CONFIG, SUMMARY, read_progress, read_values
+from deep_curiosity.training.loop import train
+from deep_curiosity.training.source import source_commit
+
+if TYPE_CHECKING:
+    from deep_curiosity.experiments.study import Cell, Result, Row
+
+EVALUATION_TAG = "eval/return"
+MEASURED = (
+    "evaluation_return",
+    "training_return",
+    "mean_training_return",
+    "success_rate",
+    "first_success_step",
+    "coverage",
+    "total_steps",
+    "steps_per_second",
+    "wall_seconds",
+)
+
+
+def run_own(cell: "Cell") -> "Result":
+    """Train an agent of this package, unless it is trained already, and measure it."""
+    from deep_curiosity.experiments.study import Result
+
+    config = cell.config
+    summary = run_once(config)
+    curve = [
+        {"step": int(row["step"]), "evaluation_return": float(row[EVALUATION_TAG])}
+        for row in read_progress(config.run.out)
+    ]
+    versions = summary["versions"]
+    origin = {
+        "version": versions["deep-curiosity"],
+        "commit": versions["commit"],
+        "settings": json.dumps({k: v for k, v in config.changes().items() if k != "out"}),
+    }
+    return Result(cell.study.measure(config, summary), curve, origin)
+
+
+def run_once(config: Config) -> dict[str, Any]:
+    """Summary of a run: read where it is finished, continued or begun where it is not.
+
+    Raises:
+        FileExistsError: If the folder holds a run of other settings.
+    """
+    folder = config.run.out
+    if not (folder / CONFIG).exists():
+        return train(config, show_progress=False)
+    there, here = config_key(read_values(folder)), config_key(config.to_json())
+    differing = {name for name in there.keys() | here.keys() if there.get(name) != here.get(name)}
+    if others := sorted(differing - {"total_steps"}):
+        raise FileExistsError(
+            f"`out` must hold no run of other settings, got {folder}, which differs in "
+            f"{', '.join(others)}; move it away or choose another folder."
+        )
+    if (folder / SUMMARY).exists():
+        summary: dict[str, Any] = json.loads((folder / SUMMARY).read_text())
+        if summary["total_steps"] >= config.run.total_steps:
+            return summary
+    return train(config, resume=True, show_progress=False)
+
+
+def run_foreign(cell: "Cell", trained: Callable[["Cell"], tuple["Row", list["Row"]]]) -> "Result":
+    """Train an agent of another library, unless its result is there already.
+
+    Args:
+        cell: What is to be trained.
+        trained: From a cell to a row of what is measured, and the curve.
+
+    Raises:
+        FileExistsError: If the folder holds a result of other settings.
+    """
+    from deep_curiosity.experiments.study import Result
+
+    path = cell.folder / "result.json"
+    settings = {**cell.study.agents[cell.agent], "seed": cell.seed, **cell.task.config.changes()}
+    wanted = json.dumps(settings, default=str, sort_keys=True)
+    if not path.exists():
+        row, curve = trained(cell)
+        origin = {"version": __version__, "commit": source_commit(), "settings": wanted}
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps({"row": row, "curve": curve, "origin": origin}))
+    result = json.loads(path.read_text())
+    if result["origin"]["settings"] != wanted:
+        raise FileExistsError(f"`runs` must hold no result of other settings, got {path}.")
+    return Result([result["row"]], result["curve"], result["origin"])
+
+
+def find_finished(runs: Path) -> dict[str, Path]:
+    """Folders of all runs that lie somewhere below one, by what makes each run the one it is."""
+    return {
+        json.dumps(config_key(read_values(path.parent)), sort_keys=True): path.parent
+        for path in sorted(runs.rglob(CONFIG), reverse=True)
+    }
+
+
+def finished_key(config: Config) -> str:
+    """Key of a run in `find_finished`."""
+    return json.dumps(config_key(config.to_json()), sort_keys=True)
+
+
+def measure_run(config: Config, summary: "Row") -> list["Row"]:
+    """The figures by which runs are compared, as the summary has them."""
+    return [{name: summary[name] for name in MEASURED}]
+
+
+def measure_area(config: Config, summary: "Row") -> list["Row"]:
+    """Mean return over all scheduled evaluations, the area under the curve, and the last one."""
+    evaluations = [
+        float(row[EVALUATION_TAG])
+        for row in read_progress(config.run.out)
+        if int(row["step"]) % config.run.evaluation_interval == 0
+    ]
+    area = sum(evaluations) / len(evaluations)
+    return [{"area": area, "evaluation_return": summary["evaluation_return"]}]

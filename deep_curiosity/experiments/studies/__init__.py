@@ -1,0 +1,55 @@
+"""The studies of this project: each a value, made by `scripts/study.py NAME`; or a user's own."""
+
+import sys
+from importlib import import_module
+from pathlib import Path
+
+from deep_curiosity.experiments.study import Study
+
+FOLDERS = {
+    "comparisons": Path("docs/study"),
+    "stable_baselines3": Path("docs/study"),
+    "torchrl": Path("docs/study"),
+    "sweeps": Path("docs/sweeps"),
+    "illustrations": Path("docs/paper"),
+}
+"""Module of each group of studies, to the folder of its tables."""
+
+
+def find_study(name: str) -> tuple[str, Study, Path]:
+    """A study by its name, or the one in a file of the user's own.
+
+    Args:
+        name: Such as `sparse`, `rate`; or `FILE.py`, whose `STUDIES` has one; or `FILE.py:NAME`.
+
+    Returns:
+        Its name, the study, and the folder of its tables.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If there is no such study.
+    """
+    file, _, wanted = name.partition(":")
+    if file.endswith(".py"):
+        return _find_own(Path(file), wanted)
+    known: list[str] = []
+    for module, folder in FOLDERS.items():
+        try:
+            studies = import_module(f"{__name__}.{module}").STUDIES
+        except ImportError:  # of a library that is not installed
+            continue
+        if name in studies:
+            return name, studies[name], folder
+        known += studies
+    raise ValueError(f"`study` must be a file or one of {', '.join(known)}, got {name!r}.")
+
+
+def _find_own(path: Path, wanted: str) -> tuple[str, Study, Path]:
+    if not path.exists():
+        raise FileNotFoundError(f"`study` must name a file that exists, got {path}.")
+    sys.path.insert(0, str(path.resolve().parent))  # where workers find it too
+    studies = import_module(path.stem).STUDIES
+    name = wanted or (next(iter(studies)) if len(studies) == 1 else "")
+    if name not in studies:
+        raise ValueError(f"`study` must be one of {', '.join(studies)} in {path}, got {name!r}.")
+    return name, studies[name], Path("results")

@@ -1,0 +1,82 @@
+"""Agents side by side: curiosity, plain soft actor-critic, baselines, and what sampling spares."""
+
+from dataclasses import replace
+
+from deep_curiosity.experiments.study import Agents, Study, Task
+from deep_curiosity.training.config import PRESETS, Config
+
+SMALL = Config.of(total_steps=16_000, hidden_dim=64, log_interval=1_000, evaluation_interval=1_000)
+PENDULUM = Task(
+    "PendulumSwingup",
+    SMALL.override(env_id="PendulumSwingup", env_kwargs={"action_cost": 0.1}),
+    solved_return=100.0,  # half of 200 steps that pay at most 1 each
+)
+MAZE = Task(
+    "PointMaze",
+    SMALL.override(env_id="PointMaze", total_steps=24_000),
+    solved_return=101.5,  # half of what the tests' scripted walk along the shortest way earns
+)
+MOUNTAIN_CAR = Task(
+    "MountainCarContinuous-v0",
+    SMALL.override(env_id="MountainCarContinuous-v0"),
+    solved_return=90.0,
+)
+REACHER = Task(
+    "ReacherSparse",
+    SMALL.override(env_id="ReacherSparse"),
+    solved_return=50.0,  # half of what an episode of 100 steps pays at most
+)
+CHEETAH = Task(
+    "HalfCheetah-v5",
+    SMALL.override(env_id="HalfCheetah-v5", hidden_dim=128),
+    solved_return=1_000.0,
+)
+CURIOSITY: Agents = {"curiosity": {}}
+PLAIN: Agents = {"plain SAC": {"bonus": "none"}}
+BASELINES = ("disagreement", "information-gain", "rnd", "icm", "nearest-neighbours", "hash-count")
+UNDIRECTED = {"gSDE": "gsde", "pink noise": "pink", "Ornstein-Uhlenbeck": "ou"}
+
+
+def _halved(task: Task) -> Task:
+    """The same task with an update at every second step only: many agents are to be compared."""
+    config = task.config.override(
+        update_to_data=0.5, total_steps=16_000, evaluation_interval=2_000
+    )
+    return replace(task, config=config)
+
+
+STUDIES = {
+    "sparse": Study([PENDULUM, MAZE], CURIOSITY | PLAIN, curves=True),
+    "control": Study([PENDULUM, MAZE], {"constant bonus": {"bonus": "constant"}}, curves=True),
+    "subsampling": Study(
+        [_halved(PENDULUM), _halved(MAZE)],
+        {
+            "curiosity": {},
+            "curiosity, eager": {"compile": "off"},
+            "curiosity, renewed twice as often": {"refresh_interval": 10},
+            "curiosity, exact": PRESETS["exact"],
+            "curiosity, same time": {"update_to_data": 0.75},  # as the exact updates take
+        },
+        seeds=12,
+    ),
+    "bonuses": Study(
+        [_halved(task) for task in (PENDULUM, MAZE, REACHER, MOUNTAIN_CAR)],
+        CURIOSITY
+        | {name: {"bonus": name} for name in BASELINES}
+        | PLAIN
+        | {name: {"bonus": "none", "exploration": noise} for name, noise in UNDIRECTED.items()},
+        columns=("evaluation_return", "mean_training_return"),
+    ),
+    "mountain_car": Study([MOUNTAIN_CAR], CURIOSITY | PLAIN, curves=True),
+    "dense": Study(
+        [CHEETAH],
+        CURIOSITY
+        | PLAIN
+        | {
+            "curiosity, fixed coefficient": {"curiosity_coefficient": 1.0},
+            "fixed, learned prior": {"curiosity_coefficient": 1.0, "prior": "learned"},
+        },
+        seeds=3,
+        curves=True,
+    ),
+}

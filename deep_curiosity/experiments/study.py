@@ -1,0 +1,88 @@
+"""What a study is: tasks, agents by the settings they change, and what is measured of each run."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from deep_curiosity.experiments.runs import measure_run, run_own
+from deep_curiosity.training.config import Config
+
+Row = dict[str, Any]
+Agents = dict[str | float, dict[str, Any]]
+"""Label of each agent to the settings that it changes."""
+
+
+@dataclass(frozen=True)
+class Task:
+    """A task of a study, and when it counts as solved.
+
+    Args:
+        name: In tables and figures.
+        config: Settings of its runs, but for what an agent changes and the seed.
+        solved_return: Evaluation return from which a run counts as solved; NaN where none does.
+    """
+
+    name: str
+    config: Config
+    solved_return: float = math.nan
+
+
+@dataclass(frozen=True)
+class Study:
+    """Tasks x agents x seeds.
+
+    Args:
+        tasks: What is to be learned.
+        agents: Label of each agent, a name or the value of what is swept, to the settings that it
+            changes, by their flat names.
+        seeds: Number of seeds, the same ones for all, so that agents are paired.
+        label: What the labels of the agents say, such as `"agent"` or `"hunger"`.
+        columns: What of the rows goes into summary and figure.
+        measure: From the settings of a finished run and its summary to rows of the table.
+        run: Sees to one cell; another library's agents have a function of their own.
+        curves: Whether the figure shows learning curves instead of the columns.
+    """
+
+    tasks: Sequence[Task]
+    agents: Agents
+    seeds: int = 5
+    label: str = "agent"
+    columns: Sequence[str] = ("evaluation_return", "mean_training_return", "first_success_step")
+    measure: Callable[[Config, Row], list[Row]] = measure_run
+    run: Callable[["Cell"], "Result"] = run_own
+    curves: bool = False
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One run of a study."""
+
+    study: Study
+    task: Task
+    agent: str | float
+    seed: int
+    folder: Path
+
+    @property
+    def config(self) -> Config:
+        """Settings of the run, where our own trainer sees to it."""
+        settings = self.study.agents[self.agent]
+        return self.task.config.override(**settings, seed=self.seed, out=self.folder)
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a run gave.
+
+    Args:
+        rows: What was measured, mostly one row.
+        curve: Evaluations, each with `step` and `evaluation_return`.
+        origin: What is told of every row: version, commit, and settings that differ from the
+            default.
+    """
+
+    rows: list[Row]
+    curve: list[Row]
+    origin: Row

@@ -1,0 +1,92 @@
+"""Tables of what was measured: rows in CSV files, and summaries of them in Markdown."""
+
+import csv
+import math
+import statistics as standard
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from deep_curiosity.experiments.statistics import bootstrap, rank_correlation
+from deep_curiosity.experiments.study import Row, Study
+
+
+def write_table(
+    path: Path, rows: Sequence[Mapping[str, Any]], columns: Iterable[str] = ()
+) -> None:
+    """Write rows as CSV, numbers to six digits; a row without a column leaves it empty."""
+    names = list(columns) or list(dict.fromkeys(name for row in rows for name in row))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(names)
+        writer.writerows([[_short(row.get(name, "")) for name in names] for row in rows])
+
+
+def markdown_table(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
+    """Table in Markdown."""
+    return "\n".join(f"| {' | '.join(line)} |" for line in (header, ["---"] * len(header), *lines))
+
+
+def median_and_range(values: Sequence[float | int | None]) -> str:
+    """`median [lowest, highest]`; a value that is missing counts as never, above all others."""
+    known = sorted(math.inf if value is None else float(value) for value in values)
+    shown = [
+        f"{value:.4g}" if math.isfinite(value) else "never"
+        for value in (standard.median(known), known[0], known[-1])
+    ]
+    return "{} [{}, {}]".format(*shown)
+
+
+def select(rows: Sequence[Row], column: str, **where: Any) -> list[Any]:
+    """Values of a column where other columns have some values, in the order of the rows."""
+    return [row[column] for row in rows if all(row[name] == v for name, v in where.items())]
+
+
+def summarize(study: Study, rows: Sequence[Row]) -> str:
+    """Markdown: for each task and agent the interquartile mean of every column, with intervals."""
+    header = ["task", study.label, "runs solved", *(c.replace("_", " ") for c in study.columns)]
+    lines = []
+    for task in study.tasks:
+        for agent in study.agents:
+            where = {"task": task.name, study.label: agent}
+            solved = select(rows, "solved", **where)
+            if not solved:
+                continue
+            counted = "-" if "" in solved else f"{sum(solved)} of {len(solved)}"
+            cells = [_estimate(select(rows, column, **where)) for column in study.columns]
+            lines.append([task.name, str(agent), counted, *cells])
+    return "\n".join([markdown_table(header, lines) + "\n", *_rank_correlations(study, rows)])
+
+
+def _estimate(values: Sequence[float | None]) -> str:
+    """Interquartile mean with its interval; median and range where a value is missing."""
+    if all(value is None for value in values):
+        return ""
+    if any(value is None for value in values):
+        return median_and_range(values)
+    return str(bootstrap([[float(value) for value in values if value is not None]]))
+
+
+def _rank_correlations(study: Study, rows: Sequence[Row]) -> list[str]:
+    """Spearman's correlation of each column's medians with what is swept, where it is a number."""
+    numbers = [agent for agent in study.agents if isinstance(agent, int | float)]
+    if len(numbers) < 3:
+        return []
+    lines = []
+    for task in study.tasks:
+        for column in study.columns:
+            own = [
+                select(rows, column, **{"task": task.name, study.label: number})
+                for number in numbers
+            ]
+            if all(own) and not any(None in values for values in own):
+                rank = rank_correlation(numbers, [*map(standard.median, own)])
+                lines.append(
+                    f"- {task.name}: rank correlation of {column} with {study.label} {rank:.2f}"
+                )
+    return [*lines, ""]
+
+
+def _short(value: Any) -> Any:
+    return f"{value:.6g}" if isinstance(value, float) else value

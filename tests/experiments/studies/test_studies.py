@@ -1,0 +1,83 @@
+import numpy as np
+import pytest
+import torch
+
+from deep_curiosity.experiments.grid import cells_of
+from deep_curiosity.experiments.studies import (
+    FOLDERS,
+    comparisons,
+    find_study,
+    illustrations,
+    sweeps,
+)
+
+OURS = {
+    name: study
+    for module in (comparisons, sweeps, illustrations)
+    for name, study in module.STUDIES.items()
+}
+OWN = """
+from deep_curiosity.experiments.study import Study, Task
+from deep_curiosity.training import Config
+
+STUDIES = {"own": Study([Task("maze", Config.of(env_id="PointMaze"))], {"default": {}})}
+"""
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_every_run_of_a_study_has_settings_that_can_be(tmp_path, name):
+    cells = cells_of(OURS[name], tmp_path / "runs" / name)
+    assert len({cell.folder for cell in cells}) == len(cells)
+    for cell in cells:
+        assert cell.config.run.seed == cell.seed
+
+
+@pytest.mark.parametrize("name", OURS)
+def test_a_study_is_found_by_its_name(name):
+    found, study, folder = find_study(name)
+    assert (found, study) == (name, OURS[name])
+    assert folder in FOLDERS.values()
+
+
+def test_names_of_studies_are_unique():
+    modules = (comparisons, sweeps, illustrations)
+    assert len(OURS) == sum(len(module.STUDIES) for module in modules)
+
+
+def test_a_name_that_is_none_is_answered_with_those_there_are():
+    with pytest.raises(
+        ValueError, match="`study` must be a file or one of sparse, .*got 'dense2'"
+    ):
+        find_study("dense2")
+
+
+def test_a_study_of_one_s_own_is_read_from_its_file(tmp_path):
+    path = tmp_path / "study_of_my_own.py"
+    path.write_text(OWN)
+    name, study, _ = find_study(str(path))
+    assert name == "own" and study.tasks[0].name == "maze"
+    with pytest.raises(ValueError, match="`study` must be one of own in .*got 'other'"):
+        find_study(f"{path}:other")
+    with pytest.raises(FileNotFoundError, match="file that exists"):
+        find_study(str(tmp_path / "missing.py"))
+
+
+def test_cells_of_the_pendulum_tile_angle_and_speed():
+    cells = {
+        sweeps.pendulum_cell(np.array([np.cos(angle), np.sin(angle), speed]))
+        for angle in np.linspace(-np.pi, np.pi, 1_000)
+        for speed in np.linspace(-4, 4, 100)
+    }
+    assert cells == {(angle, speed) for angle in range(24) for speed in range(16)}
+
+
+def test_cells_of_a_room_are_counted_once_each():
+    rows = torch.tensor(
+        [[-1.0, -1.0, 9.0], [-0.81, -0.81, 9.0], [0.01, 1.0, 9.0], [1.0, 1.0, 9.0]]
+    )
+    assert sweeps.cell_share(rows) == 3 / 100
+
+
+def test_the_exact_policy_stays_three_quarters_of_the_time_where_curiosity_looks_far():
+    assert illustrations.exact_pi_stay(0.0) == pytest.approx(0.5, abs=1e-3)
+    assert illustrations.exact_pi_stay(0.97) == pytest.approx(0.745, abs=0.01)

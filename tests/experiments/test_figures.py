@@ -1,0 +1,53 @@
+import pytest
+from matplotlib.figure import Figure
+
+from deep_curiosity.experiments import figures
+from deep_curiosity.experiments.figures import plot_columns, plot_curves
+from deep_curiosity.experiments.study import Study, Task
+from deep_curiosity.training import Config
+
+TASKS = [Task("maze", Config(), 1.0), Task("hill", Config())]
+
+
+@pytest.fixture
+def saved(monkeypatch):
+    """The figure that is saved, to look at what is on it."""
+    kept = []
+    monkeypatch.setattr(Figure, "savefig", lambda self, path, **options: kept.append(self))
+    return kept
+
+
+def test_every_agent_has_a_curve_with_its_name_beside_it(saved, tmp_path, make_rows):
+    study = Study(TASKS, {"bold": {}, "shy": {}}, curves=True)
+    curves = [
+        {"task": task.name, "agent": agent, "seed": seed, "step": step}
+        | {"evaluation_return": step + seed + len(agent)}
+        for task in TASKS
+        for agent in study.agents
+        for seed in range(2)
+        for step in (10, 20)
+    ]
+    plot_curves(tmp_path / "figure.png", study, make_rows(study, len), curves)
+    maze, hill = saved[0].axes
+    assert [line.get_ydata().tolist() for line in hill.lines] == [[14.5, 24.5], [13.5, 23.5]]
+    assert len(maze.lines) == 3  # and the return from which the task counts as solved
+    assert sorted(text.get_text() for text in maze.texts) == ["bold (1/2)", "shy (1/2)"]
+    places = [text.xy[1] for text in maze.texts]
+    assert abs(places[0] - places[1]) >= figures.LABEL_GAP - 1e-9
+
+
+def test_agents_with_names_stand_beneath_each_other(saved, tmp_path, make_rows):
+    study = Study(TASKS[:1], {"bold": {}, "shy": {}}, columns=("coverage",))
+    plot_columns(tmp_path / "figure.png", study, make_rows(study, len))
+    (axes,) = saved[0].axes
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["bold", "shy"]
+    assert axes.get_xlabel() == "coverage"
+
+
+def test_values_of_a_sweep_stand_along_an_axis(saved, tmp_path, make_rows):
+    study = Study(TASKS[:1], {0.5: {}, 2.0: {}}, label="hunger", columns=("coverage",))
+    plot_columns(tmp_path / "figure.png", study, make_rows(study, float))
+    (axes,) = saved[0].axes
+    means = axes.lines[-1]
+    assert means.get_xdata().tolist() == [0.5, 2.0] and means.get_ydata().tolist() == [1.0, 2.5]
+    assert axes.get_xlabel() == "hunger"

@@ -1,0 +1,63 @@
+import json
+
+import pytest
+
+from deep_curiosity.experiments import runs
+from deep_curiosity.experiments.runs import (
+    find_finished,
+    finished_key,
+    measure_area,
+    run_foreign,
+    run_once,
+)
+from deep_curiosity.experiments.study import Cell, Study, Task
+from deep_curiosity.training.log import open_folder
+
+
+def test_a_folder_with_a_run_of_other_settings_is_refused(tiny):
+    run_once(tiny.override(total_steps=30))
+    with pytest.raises(FileExistsError, match="differs in batch_size, num_members; move it away"):
+        run_once(tiny.override(batch_size=16, num_members=3))
+    assert run_once(tiny.override(total_steps=40))["total_steps"] == 40  # the same run, continued
+
+
+def test_a_finished_run_is_read(tiny, monkeypatch):
+    summary = run_once(tiny)
+    monkeypatch.setattr(runs, "train", None)
+    assert run_once(tiny) == json.loads(json.dumps(summary))
+
+
+def test_a_run_of_the_same_settings_is_found_wherever_it_lies(tiny, tmp_path):
+    there = tiny.override(env_id="PointMaze", env_kwargs={}, out=tmp_path / "runs" / "other study")
+    open_folder(there.override(matmul_precision="high"))
+    finished = find_finished(tmp_path / "runs")
+    wanted = there.override(out=tmp_path / "runs" / "here")
+    assert finished[finished_key(wanted)] == there.run.out
+    assert finished_key(wanted.override(seed=1)) not in finished
+
+
+def test_the_area_is_of_scheduled_evaluations_alone(tiny, monkeypatch):
+    progress = [{"step": step, "eval/return": step / 10} for step in (20, 40, 45, 60)]
+    monkeypatch.setattr(runs, "read_progress", lambda folder: progress)
+    config = tiny.override(evaluation_interval=20)
+    assert measure_area(config, {"evaluation_return": 7.0}) == [
+        {"area": pytest.approx(4.0), "evaluation_return": 7.0}
+    ]
+
+
+def test_another_library_s_result_is_kept_and_one_of_other_settings_refused(tiny, tmp_path):
+    def cell(settings):
+        study = Study([Task("maze", tiny)], {"theirs": settings})
+        return Cell(study, study.tasks[0], "theirs", 3, tmp_path / "cell")
+
+    calls = []
+
+    def trained(cell):
+        calls.append(cell.seed)
+        return {"evaluation_return": 1.0}, [{"step": 5, "evaluation_return": 1.0}]
+
+    first, again = (run_foreign(cell({"kind": "SAC"}), trained) for _ in range(2))
+    assert calls == [3] and first == again
+    assert first.rows == [{"evaluation_return": 1.0}]
+    with pytest.raises(FileExistsError, match="no result of other settings"):
+        run_foreign(cell({"kind": "TD3"}), trained)
