@@ -10,7 +10,7 @@ from matplotlib.ticker import LogLocator
 
 from deep_curiosity.benchmark.agents import Row
 from deep_curiosity.benchmark.switches import ALL_ON
-from deep_curiosity.benchmark.tables import grouped, median, slope
+from deep_curiosity.benchmark.tables import grouped, median, size_name, slope
 
 HIGHLIGHT, GREY = "#1f5fa8", "#888888"
 OUR_AGENTS = ("plain", "curious")  # with which the names of our runners begin
@@ -48,7 +48,7 @@ def plot_growth(path: Path, rows: Sequence[Row]) -> None:
     panels = figure.subplots(1, len(sizes), squeeze=False, sharey=True)[0]
     for axes, ((size,), own) in zip(panels, sizes.items(), strict=True):
         plot_power(axes, own, "value", "update_ms", "update")
-        axes.set_xlabel(str(size).replace("_", " "))
+        axes.set_xlabel(size_name(str(size)))
     panels[0].set_ylabel("ms")
     figure.savefig(path, dpi=120)
 
@@ -112,8 +112,9 @@ def _plot_vector_rates(axes: Axes, rows: Sequence[Row]) -> None:
     ):
         rates = [[row[column] for row in own] for own in groups.values()]
         middle = np.median(rates, axis=1)
-        style = {"marker": "o", "capsize": 2, "color": color}
-        axes.errorbar(numbers, middle, _reach(rates), label=label, **style)
+        axes.errorbar(
+            numbers, middle, _reach(rates), marker="o", capsize=2, color=color, label=label
+        )
     _use_logarithms(axes, numbers)
     axes.set_xlabel("environments")
     axes.legend(fontsize=8, loc="upper left")

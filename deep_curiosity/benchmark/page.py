@@ -12,11 +12,12 @@ from deep_curiosity.benchmark.tables import (
     rate_over,
     ratio,
     read_rows,
+    size_name,
     slope,
     summarize,
 )
 from deep_curiosity.bonuses.config import CuriosityConfig
-from deep_curiosity.experiments.grid import markdown_table
+from deep_curiosity.experiments.tables import markdown_table
 from deep_curiosity.replay import ReplayBuffer
 from deep_curiosity.training.config import PRESETS
 
@@ -50,9 +51,9 @@ critic of each pair, each transition trains one model and its bonus comes from o
 marginal is renewed at every {CuriosityConfig.refresh_interval}th update. "Exact" is the preset of
 that name: policy and models learn from all transitions, the policy maximises the smaller of two
 critics, as that of SB3 does, every bonus is the mean of all models, and the marginal is renewed at
-every {PRESETS["exact"]["refresh_interval"]}th update. The first update is counted from the start of the
-process, imports and cold compilation included; memory is the largest resident memory of the
-process. A million transitions of replay take {replay_megabytes():.0f} MB.
+every {PRESETS["exact"]["refresh_interval"]}th update. The first update is counted from the start
+of the process, imports and cold compilation included; memory is the largest resident memory of
+the process. A million transitions of replay take {replay_megabytes():.0f} MB.
 
 ![Environment steps per second](agents.png)
 
@@ -193,8 +194,7 @@ def growth_section(out: Path) -> str:
         values, middle = list(costs), list(costs.values())
         shown = ", ".join(f"{value:.0f}: {cost:.3g}" for value, cost in costs.items())
         last = slope(values[-2:], middle[-2:])
-        name = str(size).replace("_", " ")
-        lines.append([name, shown, f"{slope(values, middle):.2f}", f"{last:.2f}"])
+        lines.append([size_name(str(size)), shown, f"{slope(values, middle):.2f}", f"{last:.2f}"])
     return f"""## Scaling
 
 Milliseconds of one eager update of the curious agent with the learned prior (medians), as one size
@@ -283,8 +283,8 @@ def cuda_section(out: Path) -> str:
     columns = ["batch", *(f"{size:.0f}" for size in sizes)]
     return f"""## GPU
 
-The agents as above, one environment of HalfCheetah-v5, one update for every step, on a GPU and on one
-thread of the CPU beside it. Acting waits for the update before it, as an action must come back
+The agents as above, one environment of HalfCheetah-v5, one update for every step, on a GPU and on
+one thread of the CPU beside it. Acting waits for the update before it, as an action must come back
 from the GPU.
 
 ![Environment steps per second on both devices](cuda_agents.png)

@@ -13,7 +13,8 @@ from deep_curiosity.benchmark.sections import (
     Benchmark,
     LeftOutError,
 )
-from deep_curiosity.benchmark.tables import read_rows, save_rows
+from deep_curiosity.benchmark.tables import read_rows
+from deep_curiosity.experiments.tables import write_table
 from deep_curiosity.speed.machine import fitted_machine
 
 INTRODUCTION = """# Benchmark
@@ -44,7 +45,7 @@ def run_benchmark(benchmark: Benchmark, command: str) -> None:
                 print(f"{name}: left out, {error}")
                 continue
             for table, rows in tables.items():
-                save_rows(out / f"{table}.csv", rows)
+                write_table(out / f"{table}.csv", rows)
             plot_section(out, name)
             note_machine(out / MACHINES, name, command)
             print(f"{name}: measured", flush=True)
@@ -79,7 +80,7 @@ def note_machine(path: Path, section: str, command: str) -> None:
         "precision": torch.get_float32_matmul_precision(),
         "command": command,
     }
-    save_rows(path, [*(other for other in read_rows(path) if other["section"] != section), row])
+    write_table(path, [*(other for other in read_rows(path) if other["section"] != section), row])
 
 
 def cpu_name() -> str:

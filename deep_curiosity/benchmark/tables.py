@@ -1,4 +1,4 @@
-"""Tables of what was measured: rows in CSV files, and medians and ranges of them in Markdown."""
+"""Tables of what was measured: rows read from CSV files, and medians and ranges of them."""
 
 import csv
 from collections.abc import Callable, Sequence
@@ -7,15 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from deep_curiosity.benchmark.agents import Row
-from deep_curiosity.experiments.grid import median_and_range, write_table
+from deep_curiosity.experiments.tables import median_and_range
 
 Key = tuple[object, ...]
-
-
-def save_rows(path: Path, rows: Sequence[Row]) -> None:
-    """Write rows as CSV; a row without a column leaves it empty."""
-    columns = list(dict.fromkeys(column for row in rows for column in row))
-    write_table(path, columns, [dict.fromkeys(columns, "") | row for row in rows])
 
 
 def read_rows(path: Path) -> list[Row]:
@@ -75,3 +69,8 @@ def slope(values: Sequence[float], costs: Sequence[float]) -> float:
         1.0
     """
     return float(np.polyfit(np.log(values), np.log(costs), 1)[0])
+
+
+def size_name(column: str) -> str:
+    """A size in words: `num_members` is the number of members."""
+    return column.removeprefix("num_").replace("_", " ")

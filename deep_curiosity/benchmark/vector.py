@@ -57,7 +57,7 @@ def make_both(task_id: str, num_envs: int) -> tuple[VectorEnv, VectorEnv]:
 
 
 def steps_per_second(envs: VectorEnv, steps: int) -> float:
-    """Rate of all environments together under random actions, from the first step of their episodes."""
+    """Rate of all environments together under random actions, from the start of episodes."""
     calls = math.ceil(steps / envs.num_envs)
     envs.action_space.seed(0)
     actions: list[np.ndarray] = [envs.action_space.sample() for _ in range(calls)]

@@ -12,12 +12,12 @@ def test_a_worker_computes_in_a_process_of_its_own():
     worker.close()
 
 
-def test_a_package_that_is_missing_is_told():
+def test_a_missing_package_is_an_import_error():
     with pytest.raises(ImportError, match="no_such_package"):
         Worker(partial(import_runner, "no_such_package:Agent"))
 
 
-def test_stable_baselines_contends():
+def test_stable_baselines_steps():
     pytest.importorskip("stable_baselines3")
     address = "deep_curiosity.benchmark.stable_baselines:StableBaselines"
     worker = Worker(partial(import_runner, address, "MountainCarContinuous-v0"))
