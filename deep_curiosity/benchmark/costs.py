@@ -219,13 +219,13 @@ def random_batch(batch: int) -> Transition:
     return replay.all()
 
 
-def random_steps(num_steps: int, observation_dim: int) -> Step:
+def random_steps(num_steps: int, observation_dim: int, action_dim: int = ACTION_DIM) -> Step:
     """Steps of normally distributed observations that change a little."""
     generator = np.random.default_rng(0)
     observation, change = generator.normal(size=(2, num_steps, observation_dim))
     return Step(
         observation=observation,
-        action=generator.uniform(-1, 1, (num_steps, ACTION_DIM)),
+        action=generator.uniform(-1, 1, (num_steps, action_dim)),
         reward=generator.normal(size=num_steps),
         next_observation=observation + 0.1 * change,
         terminated=np.zeros(num_steps, dtype=bool),
