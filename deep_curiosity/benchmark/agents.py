@@ -43,7 +43,7 @@ def measure_agents(
             rows.append(row | measure_round(worker, own.get(name), steps))
         print(f"agents: round {repeat + 1} of {repeats}", flush=True)
     for process, worker in zip(processes, workers.values(), strict=True):
-        process["peak_megabytes"] = worker.ask("step", 1).peak_megabytes
+        process["peak_megabytes"] = worker.call("step", 1).peak_megabytes
         worker.close()
     return rows, processes
 
@@ -64,9 +64,9 @@ def start_workers(
         except ImportError as error:
             print(f"{name} is left out: {error}")
             continue
-        worker.ask("fill", num_filled)
-        seconds = worker.start_seconds + worker.ask("step", 1).seconds
-        worker.ask("step", WARM_UP_STEPS)
+        worker.call("fill", num_filled)
+        seconds = worker.start_seconds + worker.call("step", 1).seconds
+        worker.call("step", WARM_UP_STEPS)
         print(f"{name}: first update after {seconds:.1f} s", flush=True)
         workers[name] = worker
         processes.append({"runner": name, "first_update_seconds": seconds})
@@ -75,12 +75,12 @@ def start_workers(
 
 def measure_round(worker: Worker, config: Config | None, steps: int) -> Row:
     """Steps per second and, of an agent of ours, milliseconds of each stage and of the floor."""
-    seconds = worker.ask("step", steps).seconds
+    seconds = worker.call("step", steps).seconds
     row = {"steps_per_second": steps / seconds}
     if config is None:
         return row
-    stages: dict[str, float] = worker.ask("seconds").value
-    rate: float = worker.ask("matrix_rate").value
+    stages: dict[str, float] = worker.call("seconds").value
+    rate: float = worker.call("matrix_rate").value
     operations = sum(count_update(config, OBSERVATION_DIM, ACTION_DIM).values())
     milliseconds = {f"{stage}_ms": 1e3 * total / steps for stage, total in stages.items()}
     floor = {

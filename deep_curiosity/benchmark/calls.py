@@ -120,8 +120,8 @@ def find_hops(config: Config = CONFIG) -> list[Function]:
     hops = recorder.stacks(environment.step)[0][::-1]
     for landmark in on_the_way:
         hops += recorder.stacks(landmark)[0]
-    hops += max(recorder.stacks(torch.autograd.grad), key=lambda stack: len(stack))
-    return list(dict.fromkeys(hops))
+    deepest = max(recorder.stacks(torch.autograd.grad), key=len)
+    return list(dict.fromkeys(hops + deepest))
 
 
 def make_learner(config: Config) -> Learner:

@@ -1,4 +1,4 @@
-"""Our own agent as a runner, with a stopwatch in every part of a step."""
+"""Our own agent as a runner, with a stopwatch in every stage of a step."""
 
 import time
 from collections import defaultdict
