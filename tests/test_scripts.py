@@ -101,3 +101,12 @@ def test_a_section_of_the_benchmark_leaves_its_page(tmp_path):
     assert measured.returncode == 0, measured.stderr
     assert "## Vector environments" in (tmp_path / "README.md").read_text()
     assert (tmp_path / "vector.png").exists()
+
+
+def test_calls_and_hops_are_printed(monkeypatch, capsys):
+    run_here(monkeypatch, "count_calls.py")
+    printed = capsys.readouterr().out
+    assert "Update with the uniform prior: " in printed
+    assert "Update with the learned prior: " in printed
+    assert "From environment.step to torch.autograd.grad: " in printed
+    assert "replay.py: ReplayBuffer.extend" in printed
