@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from deep_curiosity.experiments.statistics import Estimate, bootstrap
+from deep_curiosity.experiments.statistics import Estimate, Groups, bootstrap
 from deep_curiosity.experiments.study import Row, Study
 from deep_curiosity.experiments.tables import select
 
@@ -91,7 +91,7 @@ def _plot_column(axes: Axes, study: Study, own: Sequence[Row], column: str) -> N
 
 
 def _plot_intervals(
-    axes: Axes, estimates: Sequence[Estimate], values: Sequence[Sequence[float]]
+    axes: Axes, estimates: Sequence[Estimate], values: Groups
 ) -> None:
     for place, (estimate, runs) in enumerate(zip(estimates, values, strict=True)):
         axes.plot(runs, [place] * len(runs), ".", color="grey", alpha=0.6)
