@@ -109,4 +109,4 @@ def test_calls_and_hops_are_printed(monkeypatch, capsys):
     assert "Update with the uniform prior: " in printed
     assert "Update with the learned prior: " in printed
     assert "From environment.step to torch.autograd.grad: " in printed
-    assert "replay.py: ReplayBuffer.extend" in printed
+    assert "training/learner.py" in printed and "replay.py" in printed

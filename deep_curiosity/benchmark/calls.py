@@ -32,7 +32,7 @@ class Function(NamedTuple):
     file: str
     """Path from the folder of the package."""
     name: str
-    """With the classes and functions that it is defined in."""
+    """With the classes and functions that it is defined in, before Python 3.11 without."""
 
 
 class CallRecorder:
@@ -82,7 +82,8 @@ class CallRecorder:
         if event == "call":
             if counted:
                 file = code.co_filename.removeprefix(self._prefix)
-                self._stack.append(Function(file, code.co_qualname))
+                name = getattr(code, "co_qualname", code.co_name)  # since Python 3.11
+                self._stack.append(Function(file, name))
                 self.counts[self._stack[-1]] += 1
                 self.depth = max(self.depth, len(self._stack))
             if code in self._landmarks:

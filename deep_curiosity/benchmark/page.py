@@ -137,8 +137,8 @@ def switches_section(out: Path) -> str:
 
 Environment steps per second of the compiled agents as above with one setting of `SpeedConfig`
 (`deep_curiosity/speed/config.py`) switched off at a time; the gain is the rate with all of them on
-over that. `direct_matmul` and `deduplicate` change compiled updates alone, so that `compile` is
-off with both.
+over that. `direct_matmul` and `deduplicate` act in compiled updates only: switching `compile` off
+switches them off as well.
 
 ![Environment steps per second with each switch off](switches.png)
 
