@@ -127,15 +127,15 @@ class CuriousSAC(nn.Module):
     def _register_state(self, discounts: list[float]) -> None:
         """Make what changes while the agent lives, so that a compiled update follows it."""
         config = self.config
-        coefficient, temperature = config.curiosity.coefficient, config.temperature
+        coefficient = config.curiosity.coefficient
         fixed = math.nan if coefficient == "adaptive" else coefficient
         self.log_temperature = nn.Parameter(torch.zeros(()), requires_grad=self.tunes_temperature)
         self.register_buffer("_hunger", torch.tensor(_first_hunger(config)))
         self.register_buffer("_fixed_coefficient", torch.tensor(fixed))
         self.register_buffer("discounts", torch.tensor(discounts).unsqueeze(-1))  # pairs 1
         self.register_buffer("value_stds", torch.zeros(len(discounts)))  # over replay
-        is_scheduled = isinstance(temperature, Schedule)
-        self.temperature = temperature(0.0) if is_scheduled else temperature
+        first = config.temperature
+        self.temperature = first(0.0) if isinstance(first, Schedule) else first
 
     @classmethod
     def default(

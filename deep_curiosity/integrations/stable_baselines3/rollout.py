@@ -32,8 +32,8 @@ class CuriousRolloutBuffer(RolloutBuffer):
         n_envs: Environments side by side.
         batch_size: Steps in a minibatch of the bonus.
         epochs: Times that the bonus goes through a rollout.
-        **bonus_options: `bonus`, `bonus_kwargs`, `learning_rate`, `update_interval` (in minibatches)
-            and `observation_key`, as for `CuriousReplayBuffer`.
+        **bonus_options: `bonus`, `bonus_kwargs`, `learning_rate`, `update_interval` (counted in
+            minibatches) and `observation_key`, as for `CuriousReplayBuffer`.
 
     Raises:
         TypeError: If `bonus` is neither a name nor a bonus.
