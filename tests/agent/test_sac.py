@@ -11,6 +11,7 @@ from deep_curiosity.agent.config import ConditionedHunger
 from deep_curiosity.agent.sac import CuriousSAC
 from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.bonuses.baselines import ConstantBonus
+from deep_curiosity.gaussians import DiagonalMixture
 from deep_curiosity.transitions import Sequences, Transition, as_sequences
 
 TEMPERATURE, DISCOUNT = 0.3, 0.9
@@ -348,9 +349,7 @@ def test_a_constant_bonus_moves_nothing_where_no_critic_learns_it():
 
 
 def test_a_constant_bonus_does_not_push_the_policy_either_way():
-    agent = small_agent(
-        curiosity_discount=0.5, learning_rate=1e-2, temperature="constant:1"
-    )
+    agent = small_agent(curiosity_discount=0.5, learning_rate=1e-2, temperature="constant:1")
     for _ in range(120):
         agent.update(random_transition(64), ConstantBonus(10.0))
     action = agent.act(torch.randn(256, 3), deterministic=True)
@@ -553,7 +552,8 @@ def test_the_update_changes_neither_transition_nor_bonus():
 def assert_same_state(one, other):
     one, other = one.state_dict(), other.state_dict()
     assert one.keys() == other.keys()
-    assert all(one[name].equal(other[name]) for name in one)
+    for name in one:  # an adaptive coefficient is kept as NaN
+        torch.testing.assert_close(one[name], other[name], rtol=0, atol=0, equal_nan=True)
 
 
 def train(agent, steps, seed):
@@ -625,6 +625,34 @@ def test_a_deterministic_action_is_the_centre_of_the_policy():
     action = agent.act(observation, deterministic=True)
     torch.testing.assert_close(action, agent.policy(observation).loc[:, 0].detach().tanh())
     assert torch.get_rng_state().equal(random_state)
+
+
+class FixedPolicy(torch.nn.Module):
+    """The same mixture at every observation."""
+
+    def __init__(self, loc, weight):
+        super().__init__()
+        self.loc, self.weight = torch.tensor(loc), torch.tensor(weight)
+
+    def forward(self, observation):
+        loc = self.loc.expand(len(observation), -1, -1)
+        log_weight = self.weight.log().expand(len(observation), -1)
+        return DiagonalMixture(loc, torch.zeros_like(loc), log_weight)
+
+
+def test_a_deterministic_action_is_the_squashed_centre():
+    agent = small_agent()
+    agent.policy = FixedPolicy([[0.5, -30.0]], [1.0])
+    action = agent.act(torch.randn(1, 3), deterministic=True)
+    torch.testing.assert_close(action, torch.tensor([[math.tanh(0.5), -1.0]]))
+
+
+@pytest.mark.parametrize(("weight", "centre"), [(0.3, -2.0), (0.7, 1.0)])
+def test_a_deterministic_action_is_the_centre_of_the_weightiest_component(weight, centre):
+    agent = CuriousSAC.default(3, 1, **PLAIN)
+    agent.policy = FixedPolicy([[-2.0], [1.0]], [1 - weight, weight])
+    action = agent.act(torch.randn(1, 3), deterministic=True)
+    torch.testing.assert_close(action, torch.tensor([[math.tanh(centre)]]))
 
 
 def test_an_observation_of_wrong_length_is_rejected():
@@ -713,6 +741,8 @@ def test_a_policy_of_two_components_keeps_two_ways_apart():
         temperature="constant:0.05",
         learning_rate=1e-2,
     )
+    bias = agent.policy.network.layers[-1].bias.data
+    bias[..., 0], bias[..., 4] = -1.0, 1.0  # the first coordinate of each component's mean
     bonus = Either(1.0)
     for _ in range(300):
         agent.update(random_transition(), bonus)
@@ -797,7 +827,9 @@ def test_curiosity_that_is_switched_off_does_not_move_the_actor():
         torch.randn(8, 3), action, PushingBonus(1.0), torch.ones(())
     )
     assert curiosity_value.abs().max() == 0
-    with pytest.raises(ValueError, match="`curiosity_coefficient` must be finite and not negative"):
+    with pytest.raises(
+        ValueError, match="`curiosity_coefficient` must be finite and not negative"
+    ):
         agent.curiosity_coefficient = -1.0
 
 
@@ -806,9 +838,7 @@ def test_only_an_episodic_curiosity_value_ends_with_the_episode(episodic):
     agent = small_agent(curiosity_episodic=episodic, prior="learned")
     batch = random_transition()
     batch = batch._replace(reward=torch.zeros(32), terminated=torch.ones(32, dtype=torch.bool))
-    value, curiosity_value = agent._targets(
-        as_sequences(batch), PushingBonus(0.0), torch.ones(())
-    )
+    value, curiosity_value = agent._targets(as_sequences(batch), PushingBonus(0.0), torch.ones(()))
     assert value.abs().max() == 0
     assert (curiosity_value.abs().max() == 0) == episodic
 
@@ -905,3 +935,46 @@ def test_sequences_that_are_too_short_are_refused():
         agent.update(random_transition(), PushingBonus(1.0))
     with pytest.raises(ValueError, match="got 2"):
         agent.update(random_sequences(2), PushingBonus(1.0))
+
+
+@pytest.mark.parametrize("num_steps", [1, 3])
+@pytest.mark.parametrize("options", [{}, {"hunger": "conditioned:0.5"}, {"prior": "learned"}])
+def test_a_bonus_teaches_the_same_as_a_tensor_and_as_a_function(num_steps, options):
+    options = {"curiosity_coefficient": "adaptive"} | options
+    agent = small_agent(curiosity_steps=num_steps, **options)
+    batch, bonus = random_sequences(num_steps), PushingBonus(3.0)
+    batch = batch if num_steps > 1 else batch.first
+    steps = as_sequences(batch).steps
+    computed = bonus(steps.observation, steps.action, steps.next_observation)
+    assert_same_state(updated(agent, batch, bonus), updated(agent, batch, computed))
+
+
+def test_where_no_critic_learns_it_a_bonus_that_is_a_tensor_is_refused():
+    agent, batch = small_agent(curiosity_discount=0.0), random_transition()
+    with pytest.raises(
+        ValueError, match=r"`bonus` must be a function where `curiosity_discount` is 0.*\(32,\)"
+    ):
+        agent.update(batch, torch.zeros(32))
+
+
+@pytest.mark.parametrize("options", [{}, {"curiosity_discount": 0.0}, {"prior": "learned"}])
+def test_a_curiosity_coefficient_of_zero_switches_curiosity_off(options):
+    agent, batch = small_agent(**options), random_transition()
+    agent.curiosity_coefficient = 0.0
+    one, other = (updated(agent, batch, PushingBonus(slope)) for slope in (0.0, 100.0))
+    assert equal(one.policy.parameters(), other.policy.parameters())
+    assert agent.update(batch, PushingBonus(1.0))["policy_loss"].isfinite()
+    assert agent.curiosity_coefficient == 0
+
+
+def test_a_curiosity_coefficient_of_zero_switches_it_off_where_conditioned_too():
+    agent, batch = conditioned_agent(), random_transition()
+    agent.curiosity_coefficient = 0.0
+    one, other = (updated(agent, batch, PushingBonus(slope)) for slope in (0.0, 100.0))
+    assert equal(one.policy.parameters(), other.policy.parameters())
+
+
+@pytest.mark.parametrize("coefficient", [0.0, 0.5, 1.0])
+def test_a_fixed_curiosity_coefficient_is_a_setting(coefficient):
+    agent = small_agent(curiosity_coefficient=coefficient)
+    assert agent.curiosity_coefficient == coefficient
