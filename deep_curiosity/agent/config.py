@@ -18,7 +18,7 @@ class ConditionedHunger:
     `battery:entry`.
 
     Args:
-        source: Who chooses it while the agent acts: it is `"fixed"`; `"random"`, drawn for each
+        source: Who chooses it while the agent acts: it is `"fixed"`; `"random"`, sampled for each
             episode; chosen by a `"bandit"` for what it earns; or read off a `"battery"`.
         value: The fixed hunger, and the one of the agent before anyone has chosen, in [0, 1].
         entry: Entry of the observation, or of `info` by its name, that holds the charge of the

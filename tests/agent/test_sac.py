@@ -286,7 +286,7 @@ def test_value_is_purely_about_reward_by_default_where_the_prior_is_learned(prio
 
 
 def updated(agent, batch, bonus=None):
-    """A copy of the agent after one update with the same random draws."""
+    """A copy of the agent after one update with the same random numbers."""
     agent = deepcopy(agent)
     torch.manual_seed(7)
     agent.update(batch, bonus)
