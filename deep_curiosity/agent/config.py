@@ -145,7 +145,7 @@ class AgentConfig(Group):
     def __post_init__(self) -> None:
         """Refuse what cannot be, or would do nothing."""
         super().__post_init__()
-        if not (1 / self.actor_batch_fraction).is_integer():
+        if not math.isclose(1 / self.actor_stride, self.actor_batch_fraction):
             raise ValueError(
                 "`actor_batch_fraction` must be one over a whole number, "
                 f"got {self.actor_batch_fraction}."

@@ -117,3 +117,8 @@ def test_a_temperature_is_tuned_where_it_is_a_number(temperature, tuned):
     config = override(AgentConfig(), temperature=temperature)
     assert config.tunes_temperature == tuned
     assert isinstance(config.temperature, float if tuned else Schedule)
+
+
+@pytest.mark.parametrize("stride", [1, 2, 3, 7, 49, 100])
+def test_the_stride_is_one_over_the_fraction(stride):
+    assert override(AgentConfig(), actor_batch_fraction=1 / stride).actor_stride == stride
