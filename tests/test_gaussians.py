@@ -9,15 +9,18 @@ from scipy import integrate
 from torch.distributions import Categorical, Independent, MixtureSameFamily, Normal, kl_divergence
 
 from deep_curiosity.gaussians import (
+    DiagonalMixture,
     expected_log_density,
     gaussian_entropy,
     gaussian_kl,
+    gaussian_log_prob,
     jensen_shannon_lower,
     jensen_shannon_upper,
     kl_to_mixture_lower,
     kl_to_mixture_sampled,
     kl_to_mixture_upper,
     mixture_log_density,
+    sample_index,
 )
 
 BOUNDS = (kl_to_mixture_lower, kl_to_mixture_upper)
@@ -26,15 +29,15 @@ BOUNDS = (kl_to_mixture_lower, kl_to_mixture_upper)
 def random_problem(seed, *, batch=4, components=5, dim=2, dtype=torch.float64):
     generator = torch.Generator().manual_seed(seed)
 
-    def draw(*shape):
+    def sample(*shape):
         return torch.randn(*shape, generator=generator, dtype=dtype)
 
-    log_weight = torch.log_softmax(draw(components), 0)
+    log_weight = torch.log_softmax(sample(components), 0)
     return (
-        draw(batch, dim),
-        draw(batch, dim),
-        draw(components, dim),
-        draw(components, dim),
+        sample(batch, dim),
+        sample(batch, dim),
+        sample(components, dim),
+        sample(components, dim),
         log_weight,
     )
 
@@ -221,7 +224,7 @@ def test_the_information_about_the_component_is_exact_at_both_ends(bound):
 
 
 @pytest.mark.parametrize("bound", [jensen_shannon_lower, jensen_shannon_upper])
-def test_the_information_about_the_component_is_of_each_row(bound):
+def test_the_information_about_the_component_is_of_each_place(bound):
     loc, log_var, weight = torch.randn(4, 5, 3, 2), torch.randn(4, 5, 3, 2), torch.randn(4, 5, 3)
     log_weight = weight.log_softmax(-1)
     actual = bound(loc, log_var, log_weight)
@@ -229,3 +232,116 @@ def test_the_information_about_the_component_is_of_each_row(bound):
         bound(loc[2, 3], log_var[2, 3], log_weight[2, 3]).item(), abs=1e-5
     )
     assert actual.shape == (4, 5) and (actual >= 0).all()
+
+
+def test_log_density_at_the_centre_of_a_unit_gaussian():
+    zero = torch.zeros(1, 2)
+    assert gaussian_log_prob(zero, zero, zero).item() == pytest.approx(-math.log(2 * math.pi))
+
+
+def test_gaussian_log_density_agrees_with_torch_distributions():
+    value, loc, log_std = torch.randn(3, 5, 4, dtype=torch.float64)
+    expected = Independent(Normal(loc, log_std.exp()), 1).log_prob(value)
+    torch.testing.assert_close(gaussian_log_prob(value, loc, log_std), expected)
+
+
+def test_log_density_under_a_mixture_agrees_with_torch_distributions():
+    value = torch.randn(6, 3, dtype=torch.float64) * 3
+    loc, log_std = torch.randn(2, 4, 3, dtype=torch.float64)
+    log_weight = torch.log_softmax(torch.randn(4, dtype=torch.float64), 0)
+    components = Independent(Normal(loc, log_std.exp()), 1)
+    expected = MixtureSameFamily(Categorical(logits=log_weight), components).log_prob(value)
+    actual = DiagonalMixture(loc, 2 * log_std, log_weight).log_prob(value)
+    torch.testing.assert_close(actual, expected)
+
+
+def test_a_mixture_far_from_its_components_stays_in_logs():
+    loc, log_var = torch.zeros(2, 1), torch.zeros(2, 1)
+    log_weight = torch.full((2,), -math.log(2))
+    actual = DiagonalMixture(loc, log_var, log_weight).log_prob(torch.full((1, 1), 100.0))
+    assert actual.item() == pytest.approx(-5_000 - 0.5 * math.log(2 * math.pi))
+
+
+def one_component(loc, log_std):
+    log_weight = torch.zeros(len(loc), 1, dtype=loc.dtype)
+    return DiagonalMixture(loc.unsqueeze(-2), 2 * log_std.unsqueeze(-2), log_weight)
+
+
+def column(value):
+    return torch.tensor([[value]], dtype=torch.float64)
+
+
+@pytest.mark.parametrize(("loc", "log_std"), [(0.0, 0.0), (2.0, -1.0), (-1.0, 0.5)])
+def test_the_density_of_one_component_integrates_to_one(loc, log_std):
+    mixture = one_component(column(loc), column(log_std))
+    total, _ = integrate.quad(lambda u: mixture.log_prob(column(u)).exp().item(), -30, 30)
+    assert total == pytest.approx(1, abs=1e-6)
+
+
+def test_samples_of_components_follow_the_noise():
+    loc, log_std = torch.tensor([[1.0]]), torch.tensor([[math.log(3)]])
+    mixture = one_component(loc.requires_grad_(), log_std.requires_grad_())
+    point = mixture.component_samples(torch.tensor([[[2.0]]]))
+    assert point.item() == pytest.approx(7)
+    point.sum().backward()
+    assert loc.grad.item() == 1 and log_std.grad.item() == pytest.approx(6)
+
+
+def two_components(weight, loc=(-2.0, 1.0), std=(0.5, 1.5)):
+    """A mixture of two over one coordinate, at one place."""
+    shape = (1, 2, 1)
+    return DiagonalMixture(
+        torch.tensor(loc).view(shape),
+        2 * torch.tensor(std).log().view(shape),
+        torch.tensor([[1 - weight, weight]]).log(),
+    )
+
+
+def components_of(mixture):
+    """Its components, by torch's own distributions."""
+    return Normal(mixture.loc.flatten(), (0.5 * mixture.log_var).exp().flatten())
+
+
+def test_a_mixture_density_agrees_with_torch_distributions():
+    mixture, value = two_components(0.3), torch.linspace(-5, 5, 21).unsqueeze(-1)
+    reference = MixtureSameFamily(
+        Categorical(logits=mixture.log_weight.flatten()), components_of(mixture)
+    )
+    torch.testing.assert_close(mixture.log_prob(value), reference.log_prob(value.squeeze(-1)))
+
+
+def at_places(mixture, num_places):
+    """The same mixture at many places."""
+    return DiagonalMixture(*(part.expand(num_places, *part.shape[1:]) for part in mixture))
+
+
+def test_a_mixture_samples_from_its_components_by_their_weights():
+    samples = at_places(two_components(0.3), 40_000).sample().squeeze(-1)
+    below = torch.tensor([-2.5, -1.0, 1.0, 2.0])
+    cdf = components_of(two_components(0.3)).cdf(below[:, None])
+    expected = cdf @ torch.tensor([0.7, 0.3])
+    actual = (samples < below[:, None]).float().mean(-1)
+    torch.testing.assert_close(actual, expected, atol=0.01, rtol=0)
+
+
+def test_the_cumulative_probability_of_a_mixture_agrees_with_torch_distributions():
+    mixture, value = two_components(0.3), torch.linspace(-5, 5, 21).unsqueeze(-1)
+    expected = components_of(mixture).cdf(value) @ torch.tensor([0.7, 0.3])
+    torch.testing.assert_close(mixture.cdf(value).squeeze(-1), expected)
+
+
+@pytest.mark.parametrize("places", [(20_000,), (100, 200)])
+def test_indices_are_sampled_by_their_probability(places):
+    probability = torch.tensor([0.1, 0.6, 0.3])
+    index = sample_index(probability.log().expand(*places, 3))
+    assert index.shape == places
+    share = torch.bincount(index.flatten(), minlength=3) / 20_000
+    torch.testing.assert_close(share, probability, atol=0.015, rtol=0.0)
+
+
+def test_expectations_component_by_component_are_those_of_the_mixture():
+    mixture = at_places(two_components(0.3), 50_000)
+    points = mixture.component_samples(torch.randn_like(mixture.loc)).transpose(0, 1)
+    stratified = mixture.mean(mixture.log_prob(points).mT).mean()
+    sampled = mixture.log_prob(mixture.sample()).mean()
+    assert stratified.item() == pytest.approx(sampled.item(), abs=0.02)

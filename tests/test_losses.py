@@ -7,31 +7,36 @@ from torch.nn.functional import mse_loss
 from deep_curiosity.losses import (
     actor_loss,
     critic_loss,
-    critic_target,
-    multi_step_target,
+    n_step_target,
     prior_loss,
     temperature_loss,
 )
 
 
-def test_target_bootstraps_except_where_the_world_ended():
-    target = critic_target(
+def one_step_target(reward, terminated, next_value, discount):
+    """The target of a single step, whose axis is left out."""
+    alive = torch.ones(1, reward.shape[-1], dtype=torch.bool)
+    return n_step_target(reward.unsqueeze(-2), alive, terminated, next_value, discount)
+
+
+def test_target_bootstraps_except_where_the_episode_terminated():
+    target = one_step_target(
         reward=torch.tensor([1.0, 2.0]),
         terminated=torch.tensor([False, True]),
         next_value=torch.tensor([10.0, 10.0]),
-        discount=0.9,
+        discount=torch.tensor([0.9]),
     )
     torch.testing.assert_close(target, torch.tensor([10.0, 2.0]))
 
 
 def test_a_value_that_is_not_finite_does_not_leak_past_the_end():
     ended = torch.tensor([True])
-    target = critic_target(torch.ones(1), ended, torch.full((1,), math.inf), 0.9)
+    target = one_step_target(torch.ones(1), ended, torch.full((1,), math.inf), torch.tensor([0.9]))
     assert target.item() == 1
 
 
 def test_every_pair_has_a_discount_of_its_own():
-    target = critic_target(
+    target = one_step_target(
         reward=torch.tensor([[1.0], [0.5]]),
         terminated=torch.tensor([False]),
         next_value=torch.tensor([[10.0], [10.0]]),
@@ -109,15 +114,28 @@ def test_several_steps_are_summed_as_far_as_a_sequence_lives():
     alive = torch.tensor([[True, True, True], [True, True, False], [True, False, False]])
     terminated = torch.tensor([False, False, True])
     next_value = torch.tensor([8.0, 8.0, 8.0])
-    target = multi_step_target(reward, alive, terminated, next_value, torch.tensor([0.5]))
+    target = n_step_target(reward, alive, terminated, next_value, torch.tensor([0.5]))
     assert target.tolist() == [1 + 5 + 25 + 1, 1 + 5 + 2, 1]
 
 
-def test_a_single_step_is_the_one_step_target():
+def test_of_several_steps_of_which_one_is_alive_the_target_is_that_of_one_step():
     reward, next_value = torch.randn(1, 5), torch.randn(5)
     terminated = torch.tensor([True, False, True, False, False])
-    several = multi_step_target(
-        reward, torch.ones(1, 5, dtype=torch.bool), terminated, next_value, torch.tensor([0.9])
+    discount = torch.tensor([0.9])
+    alive = torch.tensor([[True] * 5, [False] * 5])
+    several = n_step_target(
+        torch.cat([reward, torch.full((1, 5), 100.0)]), alive, terminated, next_value, discount
     )
-    one = critic_target(reward[0], terminated, next_value, 0.9)
+    one = one_step_target(reward[0], terminated, next_value, discount)
     torch.testing.assert_close(several, one)
+    expected = torch.where(terminated, reward[0], reward[0] + 0.9 * next_value)
+    torch.testing.assert_close(one, expected)
+
+
+def test_over_several_steps_every_value_has_its_own_discount_and_end():
+    reward = torch.ones(2, 2, 1)
+    terminated = torch.tensor([[True], [False]])
+    next_value, discount = torch.full((2, 1), 8.0), torch.tensor([[0.5], [0.25]])
+    alive = torch.ones(2, 1, dtype=torch.bool)
+    target = n_step_target(reward, alive, terminated, next_value, discount)
+    assert target.tolist() == [[1 + 0.5], [1 + 0.25 + 0.0625 * 8]]

@@ -6,11 +6,11 @@ import pytest
 from deep_curiosity.schedules import Schedule
 
 
-@pytest.mark.parametrize("shape", ["linear", "exponential", "annealing"])
+@pytest.mark.parametrize("shape", ["linear", "exponential", "plateaus"])
 @pytest.mark.parametrize(("first", "last"), [(1.0, 0.01), (0.5, 8.0)])
 def test_a_schedule_goes_from_first_to_last_and_stays(shape, first, last):
-    schedule = Schedule(first, last, 100, shape)
-    values = [schedule(step) for step in range(120)]
+    schedule = Schedule(first, last, shape)
+    values = [schedule(step / 100) for step in range(120)]
     assert values[0] == first
     assert values[100:] == pytest.approx([last] * 20)
     rises = [math.copysign(1, last - first) * (b - a) for a, b in pairwise(values)]
@@ -18,21 +18,48 @@ def test_a_schedule_goes_from_first_to_last_and_stays(shape, first, last):
 
 
 def test_the_shapes_are_what_they_are_called():
-    assert Schedule(1.0, 3.0, 10, "linear")(5) == pytest.approx(2.0)
-    assert Schedule(1.0, 0.01, 10, "exponential")(5) == pytest.approx(0.1)
-    annealed = [Schedule(1.0, 0.01, 100, "annealing")(step) for step in range(101)]
-    assert len(set(annealed)) == 11
-    assert annealed[49] == annealed[40] == pytest.approx(0.01**0.4)
+    assert Schedule(1.0, 3.0, "linear")(0.5) == pytest.approx(2.0)
+    assert Schedule(1.0, 0.01, "exponential")(0.5) == pytest.approx(0.1)
+    assert [Schedule(0.3, shape="constant")(step / 10) for step in range(12)] == [0.3] * 12
+    plateaus = [Schedule(1.0, 0.01, "plateaus")(step / 100) for step in range(101)]
+    assert len(set(plateaus)) == 11
+    assert plateaus[49] == plateaus[40] == pytest.approx(0.01**0.4)
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((0.0, 1.0, 10), "`first` must be finite and positive, got 0.0"),
-        ((1.0, math.inf, 10), "`last` must be finite and positive, got inf"),
-        ((1.0, 2.0, 0), "`num_steps` must be at least 1, got 0"),
+        ((0.0, 1.0), "`first` must be finite and positive, got 0.0"),
+        ((1.0, math.inf), "`last` must be finite and positive, got inf"),
+        ((1.0, 2.0, "constant"), "`last` must be left out .* got 2.0 for 'constant'"),
+        ((1.0,), "`last` must be left out .* got None for 'exponential'"),
     ],
 )
 def test_a_way_that_leads_nowhere_is_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         Schedule(*arguments)
+
+
+def test_an_unknown_shape_is_refused():
+    with pytest.raises((ValueError, TypeError), match="shape"):
+        Schedule(1.0, 2.0, "cosine")
+
+
+@pytest.mark.parametrize(
+    ("text", "schedule"),
+    [
+        ("constant:0.02", Schedule(0.02, None, "constant")),
+        ("linear:1:10", Schedule(1.0, 10.0, "linear")),
+        ("exponential:0.3:0.03", Schedule(0.3, 0.03)),
+        ("plateaus:1:1e-3", Schedule(1.0, 0.001, "plateaus")),
+    ],
+)
+def test_a_schedule_is_read_from_text_and_written_so(text, schedule):
+    assert Schedule.parse(text) == schedule
+    assert Schedule.parse(str(schedule)) == schedule
+
+
+@pytest.mark.parametrize("text", ["", "linear", "cosine:1:2", "linear:1:2:3", "linear:a:2"])
+def test_text_that_is_no_schedule_is_refused_with_the_form(text):
+    with pytest.raises(ValueError, match=rf"written as shape:first:last.*got '{text}'"):
+        Schedule.parse(text)

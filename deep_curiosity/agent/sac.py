@@ -28,7 +28,7 @@ STD_DECAY = 0.99  # of the running standard deviations of the values, for each u
 PARITY_FLOOR = 1e-3  # of their ratio: a conditioned agent lifts curiosity by at most a thousand
 
 BonusFunction = Callable[..., Tensor]
-"""A bonus as the agent sees it: of observations, actions and, if known, next observations."""
+"""A bonus as the agent calls it: of observations, actions and, if known, next observations."""
 Hunger = Float[Tensor, ""] | Float[Tensor, " batch"]  # one for all, or one for each
 
 
@@ -197,7 +197,7 @@ class CuriousSAC(nn.Module):
         observation: Float[Tensor, "batch observation_dim"],
         hunger: Tensor | None = None,
     ) -> Float[Tensor, "batch policy_input_dim"]:
-        """What policy and critics are given: the observation, and behind it the hunger if asked.
+        """What policy and critics are given: the observation, and behind it the hunger where conditioned.
 
         Args:
             observation: As the environment gave it.
