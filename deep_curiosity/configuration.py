@@ -38,7 +38,7 @@ class Group:
 
     def __post_init__(self) -> None:
         """Bring every value to its type, or reject it."""
-        hints = _hints(type(self))
+        hints = _hints(type(self))  # type: ignore[arg-type]  # classes are hashable
         assert is_dataclass(self)
         for field in fields(self):
             name = field.metadata.get("name", field.name)
@@ -148,7 +148,7 @@ def coerce(name: str, annotation: Any, value: Any) -> Any:
         if converted is not None:
             return converted
     if problems:
-        raise ValueError(f"`{name}` cannot be read: {problems[-1]}")
+        raise ValueError(f"`{name}` cannot be read: {'; '.join(map(str, problems))}")
     choices = [get_args(option) for option in options if get_origin(option) is Literal]
     if choices and isinstance(value, str):
         raise ValueError(f"`{name}` must be one of {_shown(options)}, got {value!r}.")
@@ -200,8 +200,8 @@ def _convert(option: Any, value: Any) -> Any:
         entries = tuple(value)
         return entries if all(_is_of(args[0], entry) for entry in entries) else None
     if origin in (dict, Mapping) and isinstance(value, Mapping):
-        entries = {key: _as(args[1], entry) for key, entry in value.items()}
-        return None if None in entries.values() else entries
+        mapping = {key: _as(args[1], entry) for key, entry in value.items()}
+        return None if None in mapping.values() else mapping
     if option is float and isinstance(value, int) and not isinstance(value, bool):
         return float(value)
     if option is Path and isinstance(value, str):
