@@ -7,32 +7,40 @@ from torch.nn.functional import mse_loss
 from deep_curiosity.losses import (
     actor_loss,
     critic_loss,
-    critic_target,
-    multi_step_target,
+    n_step_target,
     prior_loss,
     temperature_loss,
 )
 
 
-def test_target_bootstraps_except_where_the_world_ended():
-    target = critic_target(
-        reward=torch.tensor([1.0, 2.0]),
+def one_step(batch):
+    return torch.ones(1, batch, dtype=torch.bool)
+
+
+def test_target_bootstraps_except_where_the_episode_terminated():
+    target = n_step_target(
+        reward=torch.tensor([[1.0, 2.0]]),
+        alive=one_step(2),
         terminated=torch.tensor([False, True]),
         next_value=torch.tensor([10.0, 10.0]),
-        discount=0.9,
+        discount=torch.tensor([0.9]),
     )
     torch.testing.assert_close(target, torch.tensor([10.0, 2.0]))
 
 
 def test_a_value_that_is_not_finite_does_not_leak_past_the_end():
-    ended = torch.tensor([True])
-    target = critic_target(torch.ones(1), ended, torch.full((1,), math.inf), 0.9)
+    ended, endless = torch.tensor([True]), torch.full((1,), math.inf)
+    target = n_step_target(torch.ones(1, 1), one_step(1), ended, endless, torch.tensor([0.9]))
     assert target.item() == 1
+    alive = torch.ones(2, 1, dtype=torch.bool)
+    target = n_step_target(torch.ones(2, 1), alive, ended, endless, torch.tensor([0.5]))
+    assert target.item() == 1.5
 
 
-def test_every_pair_has_a_discount_of_its_own():
-    target = critic_target(
-        reward=torch.tensor([[1.0], [0.5]]),
+def test_every_value_has_a_discount_of_its_own():
+    target = n_step_target(
+        reward=torch.tensor([[[1.0]], [[0.5]]]),
+        alive=one_step(1),
         terminated=torch.tensor([False]),
         next_value=torch.tensor([[10.0], [10.0]]),
         discount=torch.tensor([[0.9], [0.5]]),
@@ -63,7 +71,7 @@ def test_actor_loss_by_hand():
     assert loss.item() == pytest.approx(0.2 * 2 - 2 * 15 - 1)
 
 
-def test_without_hunger_the_extrinsic_value_pulls_nothing():
+def test_without_hunger_the_value_of_the_reward_pulls_nothing():
     value = torch.randn(4, requires_grad=True)
     curiosity_value = torch.randn(4, requires_grad=True)
     actor_loss(torch.zeros(4), value, curiosity_value, temperature=1.0, hunger=0.0).backward()
@@ -109,15 +117,29 @@ def test_several_steps_are_summed_as_far_as_a_sequence_lives():
     alive = torch.tensor([[True, True, True], [True, True, False], [True, False, False]])
     terminated = torch.tensor([False, False, True])
     next_value = torch.tensor([8.0, 8.0, 8.0])
-    target = multi_step_target(reward, alive, terminated, next_value, torch.tensor([0.5]))
+    target = n_step_target(reward, alive, terminated, next_value, torch.tensor([0.5]))
     assert target.tolist() == [1 + 5 + 25 + 1, 1 + 5 + 2, 1]
 
 
-def test_a_single_step_is_the_one_step_target():
-    reward, next_value = torch.randn(1, 5), torch.randn(5)
-    terminated = torch.tensor([True, False, True, False, False])
-    several = multi_step_target(
-        reward, torch.ones(1, 5, dtype=torch.bool), terminated, next_value, torch.tensor([0.9])
-    )
-    one = critic_target(reward[0], terminated, next_value, 0.9)
+@pytest.mark.parametrize("ended", [False, True])
+def test_a_sequence_that_ends_at_its_first_step_has_the_one_step_target(ended):
+    reward, next_value = torch.randn(3, 5), torch.randn(5)
+    terminated, discount = torch.full((5,), ended), torch.tensor([0.9])
+    alive = torch.tensor([[True], [False], [False]]).expand(3, 5)
+    several = n_step_target(reward, alive, terminated, next_value, discount)
+    one = n_step_target(reward[:1], one_step(5), terminated, next_value, discount)
     torch.testing.assert_close(several, one)
+    torch.testing.assert_close(one, reward[0] + 0.9 * (not ended) * next_value)
+
+
+def test_several_values_are_summed_as_each_alone():
+    reward, next_value = torch.randn(2, 3, 5), torch.randn(2, 5)
+    alive = (torch.rand(3, 5) < 0.7).cumprod(0).bool()
+    alive[0] = True
+    terminated, discount = torch.rand(2, 5) < 0.5, torch.tensor([[0.9], [0.3]])
+    both = n_step_target(reward, alive, terminated, next_value, discount)
+    for value in range(2):
+        alone = n_step_target(
+            reward[value], alive, terminated[value], next_value[value], discount[value]
+        )
+        torch.testing.assert_close(both[value], alone)

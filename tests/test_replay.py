@@ -43,9 +43,9 @@ def test_a_step_comes_out_as_it_went_in():
     assert batch.terminated.dtype == torch.bool and batch.reward.dtype == torch.float32
 
 
-def test_rows_taken_apart_are_the_transitions_that_would_have_been_drawn():
+def test_rows_taken_apart_are_the_transitions_that_would_have_been_sampled():
     one, other = filled(8), filled(8)
-    assert equal(one.transition(one.sample_rows(20)), other.sample(20))
+    assert equal(one.sequences(*one.sample_rows(20)).steps, other.sample(20))
     with pytest.raises(ValueError, match="must hold a transition"):
         ReplayBuffer(4, 3, 2).sample_rows(1)
 
@@ -67,15 +67,15 @@ def test_the_newest_are_kept_and_come_out_oldest_first(count):
     assert numbers(replay.all()) == list(range(max(0, count - 8), count))
 
 
-def test_only_what_was_added_is_drawn_and_all_of_it():
+def test_only_what_was_added_is_sampled_and_all_of_it():
     replay = filled(5, capacity=100)
     assert set(numbers(replay.sample(500))) == {0, 1, 2, 3, 4}
     assert set(numbers(filled(11).sample(500))) == set(range(3, 11))
 
 
-def test_draws_are_uniform():
-    drawn = filled(4).sample(40_000).observation[:, 0]
-    share = torch.bincount(drawn.long()) / 40_000
+def test_samples_are_uniform():
+    sampled = filled(4).sample(40_000).observation[:, 0]
+    share = torch.bincount(sampled.long()) / 40_000
     assert (share - 0.25).abs().max() < 0.01
 
 
@@ -92,7 +92,7 @@ def test_a_batch_is_a_copy_of_the_rows():
     assert numbers(replay.all()) == [0]
 
 
-def test_draws_follow_the_seed_and_not_the_global_stream():
+def test_samples_follow_the_seed_and_not_the_global_stream():
     torch.manual_seed(1)
     one = numbers(filled(8, seed=3).sample(50))
     torch.manual_seed(2)
@@ -190,7 +190,7 @@ def test_an_empty_batch_cannot_be_sampled():
         filled(2).sample(0)
 
 
-@pytest.mark.parametrize("name", ["capacity", "observation_dim", "action_dim"])
+@pytest.mark.parametrize("name", ["capacity", "observation_dim", "action_dim", "num_envs"])
 def test_a_size_below_one_is_rejected(name):
     sizes = {"capacity": 4, "observation_dim": 3, "action_dim": 2}
     with pytest.raises(ValueError, match=f"`{name}` must be at least 1, got 0"):
@@ -272,10 +272,10 @@ def test_the_copy_is_of_what_a_torchrl_buffer_stores_and_not_of_what_it_samples(
     assert ReplayBuffer.from_torchrl(buffer).all().reward.equal(filled(5).all().reward)
 
 
-def test_seed_of_the_copy_decides_its_draws(torchrl_data):
+def test_seed_of_the_copy_decides_its_samples(torchrl_data):
     buffer = filled(8).to_torchrl()
-    draws = [ReplayBuffer.from_torchrl(buffer, seed=seed).sample(50) for seed in (1, 1, 2)]
-    assert equal(draws[0], draws[1]) and not equal(draws[0], draws[2])
+    samples = [ReplayBuffer.from_torchrl(buffer, seed=seed).sample(50) for seed in (1, 1, 2)]
+    assert equal(samples[0], samples[1]) and not equal(samples[0], samples[2])
 
 
 def batch(first, count):
@@ -312,21 +312,21 @@ def test_several_of_unequal_number_are_refused():
         ReplayBuffer(8, 3, 2).extend(*values[:2], values[2][:3], *values[3:])
 
 
-def test_what_is_spread_over_replay_is_the_same_at_every_call():
+def test_evenly_spaced_transitions_are_the_same_at_every_call():
     replay = filled(6)
     generator = replay.state_dict()["generator"]
-    assert numbers(replay.spread(3)) == [0, 2, 4]
-    assert numbers(replay.spread(12)) == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5]
+    assert numbers(replay.evenly_spaced(3)) == [0, 2, 4]
+    assert numbers(replay.evenly_spaced(12)) == [0, 0, 1, 1, 2, 2, 3, 3, 4, 4, 5, 5]
     assert replay.state_dict()["generator"].equal(generator)
     with pytest.raises(ValueError, match="`num_rows` must be at least 1, got 0"):
-        replay.spread(0)
+        replay.evenly_spaced(0)
     with pytest.raises(ValueError, match="must hold a transition before it is sampled"):
-        filled(0).spread(1)
+        filled(0).evenly_spaced(1)
 
 
 @pytest.mark.parametrize("count", [1, 3, 8, 21])
 @pytest.mark.parametrize("window", [1, 3, 50])
-def test_the_newest_of_a_window_are_drawn_and_all_of_them(count, window):
+def test_the_newest_of_a_window_are_sampled_and_all_of_them(count, window):
     first = max(0, count - min(window, 8))
     assert set(numbers(filled(count).sample_newest(300, window=window))) == set(
         range(first, count)
@@ -335,24 +335,24 @@ def test_the_newest_of_a_window_are_drawn_and_all_of_them(count, window):
 
 @pytest.mark.parametrize("count", [6, 21])
 def test_the_weight_of_a_step_halves_with_every_half_life(count):
-    drawn = filled(count).sample_fading(60_000, half_life=2).observation[:, 0]
+    sampled = filled(count).sample_fading(60_000, half_life=2).observation[:, 0]
     held = min(count, 8)
-    age = torch.bincount((count - 1 - drawn).long(), minlength=held) / 60_000
+    age = torch.bincount((count - 1 - sampled).long(), minlength=held) / 60_000
     expected = 0.5 ** (torch.arange(held) / 2)
     torch.testing.assert_close(age, expected / expected.sum(), atol=0.01, rtol=0)
 
 
-def test_a_half_life_beyond_all_steps_draws_them_alike():
-    drawn = filled(4).sample_fading(40_000, half_life=10_000_000).observation[:, 0]
-    assert (torch.bincount(drawn.long()) / 40_000 - 0.25).abs().max() < 0.01
+def test_a_half_life_beyond_all_steps_samples_them_alike():
+    sampled = filled(4).sample_fading(40_000, half_life=10_000_000).observation[:, 0]
+    assert (torch.bincount(sampled.long()) / 40_000 - 0.25).abs().max() < 0.01
 
 
-@pytest.mark.parametrize(("draw", "name"), [("newest", "window"), ("fading", "half_life")])
-def test_a_horizon_below_one_and_an_empty_replay_are_rejected(draw, name):
+@pytest.mark.parametrize(("kind", "name"), [("newest", "window"), ("fading", "half_life")])
+def test_a_horizon_below_one_and_an_empty_replay_are_rejected(kind, name):
     with pytest.raises(ValueError, match=f"`{name}` must be at least 1, got 0"):
-        getattr(filled(3), f"sample_{draw}")(2, **{name: 0})
+        getattr(filled(3), f"sample_{kind}")(2, **{name: 0})
     with pytest.raises(ValueError, match="must hold a transition before it is sampled"):
-        getattr(filled(0), f"sample_{draw}")(2, **{name: 5})
+        getattr(filled(0), f"sample_{kind}")(2, **{name: 5})
 
 
 def test_sequences_hold_what_followed_until_the_episode_ends():
@@ -373,11 +373,11 @@ def test_sequences_hold_what_followed_until_the_episode_ends():
         assert sequences.last(2).observation[row, 0] == expected[:2][-1]
 
 
-def test_sequences_stay_in_their_world_where_several_are_stored_side_by_side():
-    replay = ReplayBuffer(90, 3, 2)
+def test_sequences_stay_in_their_environment_where_several_are_stored_side_by_side():
+    replay = ReplayBuffer(90, 3, 2, num_envs=3)
     for number in range(90):
         add(replay, number)
-    sequences = replay.sample_sequences(300, 2, stride=3)
+    sequences = replay.sample_sequences(300, 2)
     one, next_one = sequences.steps.observation[:, 0].unflatten(0, (2, 300))
     alive = sequences.alive[1]
     assert (next_one - one)[alive].eq(3).all()

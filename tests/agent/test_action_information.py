@@ -4,17 +4,17 @@ import pytest
 import torch
 
 from deep_curiosity.agent.action_information import action_information
-from deep_curiosity.distributions import SquashedMixture
+from deep_curiosity.gaussians import DiagonalMixture
 
 
 def linear_gaussian(num_states, std, dim=1, seed=0):
-    """Policies `N(x, std^2)` over pre-actions at standard normal states, and a draw of each."""
+    """Policies `N(x, std^2)` over pre-actions at standard normal states, and a sample of each."""
     generator = torch.Generator().manual_seed(seed)
-    loc = torch.randn(1, num_states, dim, generator=generator, dtype=torch.float64)
-    log_std = torch.full_like(loc, math.log(std))
-    policy = SquashedMixture(loc, log_std, torch.zeros(1, num_states, dtype=torch.float64))
-    noise = torch.randn(1, num_states, dim, generator=generator, dtype=torch.float64)
-    return policy, policy.pre_actions(noise)[0]
+    loc = torch.randn(num_states, 1, dim, generator=generator, dtype=torch.float64)
+    log_var = torch.full_like(loc, 2 * math.log(std))
+    policy = DiagonalMixture(loc, log_var, torch.zeros(num_states, 1, dtype=torch.float64))
+    noise = torch.randn(num_states, 1, dim, generator=generator, dtype=torch.float64)
+    return policy, policy.component_samples(noise).squeeze(1)
 
 
 @pytest.mark.parametrize("std", [2.0, 0.5, 0.1])
@@ -32,12 +32,12 @@ def test_linear_gaussian_information_lies_between_the_estimates(std, dim):
 def test_a_policy_that_ignores_the_state_carries_nothing():
     policy, _ = linear_gaussian(100, 1.0)
     same = policy._replace(loc=torch.zeros_like(policy.loc))
-    estimate = action_information(same, same.draw())
+    estimate = action_information(same, same.sample())
     assert estimate.lower.item() == pytest.approx(0, abs=1e-9)
     assert estimate.upper.item() == pytest.approx(0, abs=1e-9)
 
 
-def test_of_states_that_are_told_apart_the_lower_estimate_counts_as_many_as_there_are():
+def test_of_states_that_actions_identify_the_lower_estimate_counts_all():
     estimate = action_information(*linear_gaussian(50, 1e-6))
     assert estimate.lower.item() == pytest.approx(math.log(50), abs=1e-6)
     assert estimate.upper > math.log(50)
