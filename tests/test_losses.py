@@ -33,6 +33,9 @@ def test_a_value_that_is_not_finite_does_not_leak_past_the_end():
     ended = torch.tensor([True])
     target = one_step_target(torch.ones(1), ended, torch.full((1,), math.inf), torch.tensor([0.9]))
     assert target.item() == 1
+    alive = torch.ones(2, 1, dtype=torch.bool)
+    target = n_step_target(torch.ones(2, 1), alive, ended, endless, torch.tensor([0.5]))
+    assert target.item() == 1.5
 
 
 def test_every_pair_has_a_discount_of_its_own():
@@ -68,7 +71,7 @@ def test_actor_loss_by_hand():
     assert loss.item() == pytest.approx(0.2 * 2 - 2 * 15 - 1)
 
 
-def test_without_hunger_the_extrinsic_value_pulls_nothing():
+def test_without_hunger_the_value_of_the_reward_pulls_nothing():
     value = torch.randn(4, requires_grad=True)
     curiosity_value = torch.randn(4, requires_grad=True)
     actor_loss(torch.zeros(4), value, curiosity_value, temperature=1.0, hunger=0.0).backward()

@@ -1,7 +1,15 @@
 import pytest
 import torch
 
-from deep_curiosity.transitions import Transition, check_batch, check_finite, check_transition
+from deep_curiosity.transitions import (
+    Sequences,
+    Transition,
+    as_sequences,
+    check_batch,
+    check_counts,
+    check_finite,
+    check_transition,
+)
 
 
 def transition(batch=4, observation_dim=3, action_dim=2, **fields):
@@ -85,3 +93,33 @@ def test_a_field_of_another_length_is_rejected(name):
 def test_an_empty_batch_is_rejected():
     with pytest.raises(ValueError, match="at least 1"):
         check_transition(transition(batch=0), 3, 2)
+
+
+def test_transitions_are_sequences_of_one_step():
+    batch = transition()
+    sequences = as_sequences(batch)
+    assert sequences.steps is batch and sequences.first is batch and sequences.last(1) is batch
+    assert sequences.alive.equal(torch.ones(1, 4, dtype=torch.bool))
+    assert as_sequences(sequences) is sequences
+
+
+def test_the_last_step_of_a_sequence_is_the_last_that_lives():
+    alive = torch.tensor([[True, True, True], [True, False, True], [True, False, False]])
+    sequences = Sequences(transition(batch=9), alive)
+    rows = {1: [0, 1, 2], 2: [3, 1, 5], 3: [6, 1, 5]}
+    for num_steps, expected in rows.items():
+        last = sequences.last(num_steps)
+        for field, steps in zip(last, sequences.steps, strict=True):
+            assert field.equal(steps[expected])
+    assert sequences.first.observation.equal(sequences.steps.observation[:3])
+
+
+def test_sequences_that_do_not_fit_their_steps_are_rejected():
+    sequences = Sequences(transition(batch=6), torch.ones(2, 2, dtype=torch.bool))
+    with pytest.raises(ValueError, match=r"`alive` must have shape .* of 6 steps, got \(2, 2\)"):
+        sequences.check(3, 2, torch.float32)
+
+
+def test_a_count_below_one_is_rejected_by_name_and_value():
+    with pytest.raises(ValueError, match="`rows` must be at least 1, got 0"):
+        check_counts(columns=1, rows=0)

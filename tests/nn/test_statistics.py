@@ -1,7 +1,18 @@
+import math
+
 import pytest
 import torch
 
-from deep_curiosity.nn.statistics import NUM_DRAWN, RobustMoments, RunningMoments
+from deep_curiosity.nn.statistics import (
+    HASH_OFFSET,
+    NUM_DRAWN,
+    WHITENINGS,
+    Every,
+    RobustMoments,
+    RunningMoments,
+    Standardization,
+    scrambled,
+)
 
 
 def test_moments_of_batches_are_those_of_all_rows():
@@ -122,13 +133,13 @@ def test_a_robust_scale_of_a_gaussian_is_its_standard_deviation():
     torch.testing.assert_close(moments.scale, moments.var.sqrt(), atol=0, rtol=0.07)
 
 
-def test_rows_drawn_are_a_fair_share_of_all_that_were_seen():
+def test_rows_kept_are_a_fair_sample_of_all_that_were_observed():
     rows = torch.arange(30_000.0).unsqueeze(-1)
-    drawn = robust(rows).rows[:, 0]
-    assert len(drawn.unique()) == NUM_DRAWN
-    counts = torch.histc(drawn, bins=10, min=0, max=30_000)
+    kept = robust(rows).rows[:, 0]
+    assert len(kept.unique()) == NUM_DRAWN
+    counts = torch.histc(kept, bins=10, min=0, max=30_000)
     assert (counts - NUM_DRAWN / 10).abs().max() < 60
-    places = (drawn % 16).long().bincount()  # as of 16 worlds side by side
+    places = (kept % 16).long().bincount()  # as of 16 environments side by side
     assert (places - NUM_DRAWN / 16).abs().max() < 50
 
 
@@ -161,3 +172,68 @@ def test_robust_state_is_all_in_the_state_dict():
     moments.update(batch), copy.update(batch)
     assert copy.center.equal(moments.center) and copy.scale.equal(moments.scale)
     assert copy.rows.equal(moments.rows)
+
+
+def test_every_bit_of_scrambled_numbers_is_a_fair_coin():
+    number = scrambled(torch.arange(20_000) + HASH_OFFSET)
+    heads = (number.unsqueeze(-1) >> torch.arange(64)) & 1
+    assert (heads.double().mean(0) - 0.5).abs().max() < 0.02
+
+
+def test_no_two_numbers_are_scrambled_alike_and_each_always_alike():
+    number = torch.arange(10_000)
+    assert len(scrambled(number).unique()) == 10_000
+    assert scrambled(number).equal(scrambled(number.clone()))
+
+
+def test_the_first_call_is_due_and_every_third_after_it():
+    every, due = Every(3), []
+    for _ in range(8):
+        due.append(not every.should_skip)
+        every.count()
+    assert due == [True, False, False, True, False, False, True, False]
+
+
+def test_the_query_whether_to_skip_changes_nothing():
+    every, queried = Every(3), Every(3)
+    for _ in range(7):
+        for _ in range(5):
+            assert queried.should_skip == every.should_skip
+        assert queried.num_calls.equal(every.num_calls)
+        every.count(), queried.count()
+
+
+def test_calls_are_counted_on_from_the_state_dict():
+    every, restored = Every(3), Every(3)
+    for _ in range(4):
+        every.count()
+    restored.load_state_dict(every.state_dict())
+    for _ in range(6):
+        assert restored.should_skip == every.should_skip
+        every.count(), restored.count()
+
+
+@pytest.mark.parametrize("kind", WHITENINGS)
+def test_centre_and_scale_follow_from_a_restored_state(kind):
+    moments, restored = WHITENINGS[kind](2), WHITENINGS[kind](2)
+    moments.update(torch.randn(50, 2) * 3 + 1)
+    assert not {"center", "scale"} & moments.state_dict().keys()
+    restored.load_state_dict(moments.state_dict())
+    value = torch.randn(4, 2)
+    assert restored.normalize(value).equal(moments.normalize(value))
+
+
+@pytest.mark.parametrize("center", [False, True])
+@pytest.mark.parametrize("scale", [False, True])
+def test_a_standardised_value_is_centred_and_scaled_where_that_is_wanted(center, scale):
+    standardization = Standardization(weight=0.5, center=center, scale=scale)
+    value = torch.tensor([1.0, 3.0, 8.0])
+    standardization.update(value)
+    expected = 0.5 * (value - 4 * center) / (math.sqrt(26 / 3) if scale else 1)
+    torch.testing.assert_close(standardization(value), expected)
+
+
+@pytest.mark.parametrize("weight", [-0.1, math.nan, math.inf])
+def test_a_weight_that_is_negative_or_not_finite_is_rejected(weight):
+    with pytest.raises(ValueError, match="`weight` must be finite and not negative, got"):
+        Standardization(weight=weight, center=True, scale=True)
