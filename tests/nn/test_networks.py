@@ -4,7 +4,7 @@ import pytest
 import torch
 from torch import nn
 
-from deep_curiosity.nn.networks import StackedLinear, StackedMLP, frozen, restore_order, assign_rows
+from deep_curiosity.nn.networks import StackedLinear, StackedMLP, assign_rows, frozen, restore_order
 
 
 def member_as_sequential(network, member):
@@ -58,7 +58,7 @@ def test_gradients_reach_every_parameter():
 
 
 @pytest.mark.parametrize("num_rows", [1, 2, 6, 7])
-def test_rows_in_turn_are_each_for_one_member(num_rows):
+def test_rows_assigned_round_robin_are_each_for_one_member(num_rows):
     row, once = assign_rows(num_rows, 3, torch.device("cpu"))
     assert sorted(row[once].tolist()) == list(range(num_rows))
     assert all((row[member, once[member]] % 3 == member).all() for member in range(3))

@@ -1,7 +1,15 @@
 import pytest
 import torch
 
-from deep_curiosity.nn.statistics import NUM_DRAWN, RobustMoments, RunningMoments
+from deep_curiosity.nn.statistics import (
+    HASH_OFFSET,
+    NUM_DRAWN,
+    Every,
+    RobustMoments,
+    RunningMoments,
+    Standardization,
+    scrambled,
+)
 
 
 def test_moments_of_batches_are_those_of_all_rows():
@@ -128,7 +136,7 @@ def test_rows_drawn_are_a_fair_share_of_all_that_were_seen():
     assert len(drawn.unique()) == NUM_DRAWN
     counts = torch.histc(drawn, bins=10, min=0, max=30_000)
     assert (counts - NUM_DRAWN / 10).abs().max() < 60
-    places = (drawn % 16).long().bincount()  # as of 16 worlds side by side
+    places = (drawn % 16).long().bincount()  # as of 16 environments side by side
     assert (places - NUM_DRAWN / 16).abs().max() < 50
 
 
@@ -161,3 +169,55 @@ def test_robust_state_is_all_in_the_state_dict():
     moments.update(batch), copy.update(batch)
     assert copy.center.equal(moments.center) and copy.scale.equal(moments.scale)
     assert copy.rows.equal(moments.rows)
+
+
+def test_every_bit_of_scrambled_numbers_is_a_fair_coin():
+    number = scrambled(torch.arange(20_000) + HASH_OFFSET)
+    heads = (number.unsqueeze(-1) >> torch.arange(64)) & 1
+    assert (heads.double().mean(0) - 0.5).abs().max() < 0.02
+
+
+def test_no_two_numbers_are_scrambled_alike_and_each_always_alike():
+    number = torch.arange(10_000)
+    assert len(scrambled(number).unique()) == 10_000
+    assert scrambled(number).equal(scrambled(number.clone()))
+
+
+def test_the_first_call_is_due_and_every_third_after_it():
+    every, due = Every(3), []
+    for _ in range(8):
+        due.append(not every.should_skip)
+        every.count()
+    assert due == [True, False, False, True, False, False, True, False]
+
+
+@pytest.mark.parametrize("num_calls", range(4))
+def test_to_ask_whether_to_skip_counts_nothing(num_calls):
+    every = Every(3)
+    for _ in range(num_calls):
+        every.count()
+    answers = {every.should_skip for _ in range(10)}
+    assert answers == {num_calls % 3 != 0}
+    assert every.num_calls == num_calls
+
+
+def test_the_count_is_part_of_the_state():
+    every, copy = Every(3), Every(3)
+    every.count()
+    copy.load_state_dict(every.state_dict())
+    assert copy.should_skip
+    copy.count(), copy.count()
+    assert not copy.should_skip
+
+
+def test_a_standardised_value_by_hand():
+    standardization = Standardization(weight=0.5, center=True, scale=True)
+    standardization.update(torch.tensor([1.0, 3.0]))  # mean 2, standard deviation 1
+    value = standardization(torch.tensor([2.0, 4.0]))
+    torch.testing.assert_close(value, torch.tensor([0.0, 1.0]))
+
+
+@pytest.mark.parametrize("weight", [-0.1, float("nan"), float("inf")])
+def test_a_weight_out_of_range_is_rejected(weight):
+    with pytest.raises(ValueError, match=f"`weight` must be finite and not negative, got {weight}"):
+        Standardization(weight=weight, center=True, scale=True)
