@@ -6,10 +6,10 @@ import pytest
 import torch
 
 from deep_curiosity.bonuses.base import Bonus
+from deep_curiosity.bonuses.baselines import ConstantBonus
+from deep_curiosity.bonuses.curiosity import CuriosityBonus
 from deep_curiosity.bonuses.registry import BONUSES as BY_NAME
 from deep_curiosity.bonuses.registry import make_bonus
-from deep_curiosity.bonuses.curiosity import CuriosityBonus
-from deep_curiosity.bonuses.baselines import ConstantBonus
 from deep_curiosity.transitions import Transition
 
 OPTIONS = {"members": 2, "hidden_dims": (8,), "components": 16, "refresh_interval": 2}

@@ -3,13 +3,13 @@ import math
 import pytest
 import torch
 
-from deep_curiosity.bonuses.dynamics import Prediction
 from deep_curiosity.bonuses.decomposition import (
     DIVERGENCE,
     coefficients_of,
     conditional_entropy,
     information_gain,
 )
+from deep_curiosity.bonuses.dynamics import Prediction
 
 
 def predictions(*loc, std=1.0, outcomes=1):

@@ -4,8 +4,8 @@ import pytest
 import torch
 from torch.distributions import Categorical, Independent, MixtureSameFamily, Normal
 
-from deep_curiosity.gaussians import kl_to_mixture_lower, kl_to_mixture_upper
 from deep_curiosity.bonuses.marginal import NextStateMarginal, silverman_log_bandwidth
+from deep_curiosity.gaussians import kl_to_mixture_lower, kl_to_mixture_upper
 
 HOLES = 1e-3  # a bandwidth that fills none
 

@@ -1,8 +1,8 @@
 import pytest
 import torch
 
-from deep_curiosity.bonuses.registry import BONUSES, BonusLearner, make_bonus
 from deep_curiosity.bonuses.baselines import ConstantBonus
+from deep_curiosity.bonuses.registry import BONUSES, BonusLearner, make_bonus
 from deep_curiosity.transitions import Transition
 
 
