@@ -4,7 +4,13 @@ import pytest
 import torch
 from torch import nn
 
-from deep_curiosity.nn.networks import StackedLinear, StackedMLP, assign_rows, frozen, restore_order
+from deep_curiosity.nn.networks import (
+    StackedLinear,
+    StackedMLP,
+    assign_rows,
+    frozen,
+    restore_order,
+)
 
 
 def member_as_sequential(network, member):

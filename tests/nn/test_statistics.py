@@ -219,5 +219,5 @@ def test_a_standardised_value_by_hand():
 
 @pytest.mark.parametrize("weight", [-0.1, float("nan"), float("inf")])
 def test_a_weight_out_of_range_is_rejected(weight):
-    with pytest.raises(ValueError, match=f"`weight` must be finite and not negative, got {weight}"):
+    with pytest.raises(ValueError, match=f"`weight` must be finite and not .*got {weight}"):
         Standardization(weight=weight, center=True, scale=True)
