@@ -66,7 +66,7 @@ def test_a_folder_without_a_checkpoint_is_named(tiny, environment, tmp_path):
 
 
 class Painted:
-    """Draws the number of the step, in place of what MuJoCo would."""
+    """Paints the number of the step, in place of what MuJoCo would."""
 
     def __init__(self, environment):
         self.environment = environment
