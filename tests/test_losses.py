@@ -31,7 +31,8 @@ def test_target_bootstraps_except_where_the_episode_terminated():
 
 def test_a_value_that_is_not_finite_does_not_leak_past_the_end():
     ended = torch.tensor([True])
-    target = one_step_target(torch.ones(1), ended, torch.full((1,), math.inf), torch.tensor([0.9]))
+    endless = torch.full((1,), math.inf)
+    target = one_step_target(torch.ones(1), ended, endless, torch.tensor([0.9]))
     assert target.item() == 1
     alive = torch.ones(2, 1, dtype=torch.bool)
     target = n_step_target(torch.ones(2, 1), alive, ended, endless, torch.tensor([0.5]))

@@ -25,6 +25,7 @@ from deep_curiosity.schedules import Schedule
 from deep_curiosity.transitions import Sequences, Transition, as_sequences, check_batch
 
 STD_DECAY = 0.99  # of the running standard deviations of the values, for each update
+ADAPTIVE = -1.0  # in the place of a fixed coefficient, which is never negative
 PARITY_FLOOR = 1e-3  # of their ratio: a conditioned agent lifts curiosity by at most a thousand
 
 BonusFunction = Callable[..., Tensor]
@@ -128,7 +129,7 @@ class CuriousSAC(nn.Module):
         """Make what changes while the agent lives, so that a compiled update follows it."""
         config = self.config
         coefficient = config.curiosity.coefficient
-        fixed = math.nan if coefficient == "adaptive" else coefficient
+        fixed = ADAPTIVE if coefficient == "adaptive" else coefficient
         self.log_temperature = nn.Parameter(torch.zeros(()), requires_grad=self.tunes_temperature)
         self.register_buffer("_hunger", torch.tensor(_first_hunger(config)))
         self.register_buffer("_fixed_coefficient", torch.tensor(fixed))
@@ -197,7 +198,7 @@ class CuriousSAC(nn.Module):
         observation: Float[Tensor, "batch observation_dim"],
         hunger: Tensor | None = None,
     ) -> Float[Tensor, "batch policy_input_dim"]:
-        """What policy and critics are given: the observation, and behind it the hunger where conditioned.
+        """Input of policy and critics: the observation, and behind it the hunger if conditioned on it.
 
         Args:
             observation: As the environment gave it.
@@ -447,7 +448,7 @@ class CuriousSAC(nn.Module):
             adaptive = (1 - hunger) / ratio.clamp(PARITY_FLOOR, 1.0)
         else:
             adaptive = ratio.clamp(max=1.0)
-        return torch.where(self._fixed_coefficient.isnan(), adaptive, self._fixed_coefficient)
+        return torch.where(self._fixed_coefficient < 0, adaptive, self._fixed_coefficient)
 
     def _update_prior(self, sample: PolicySample) -> dict[str, Tensor]:
         """Fit a learned prior to what the policy does."""

@@ -11,7 +11,6 @@ from typing import Any, NamedTuple
 
 import torch
 
-import deep_curiosity
 from deep_curiosity.benchmark.costs import random_steps
 from deep_curiosity.replay import ReplayBuffer
 from deep_curiosity.training.collector import Collector
@@ -19,7 +18,7 @@ from deep_curiosity.training.config import Config
 from deep_curiosity.training.environments import make_environment
 from deep_curiosity.training.learner import Learner
 
-PACKAGE = Path(deep_curiosity.__file__).parent
+PACKAGE = Path(__file__).parents[1]
 CONFIG = Config.of(env_id="PendulumSwingup", hidden_dim=64, compile="off")
 OBSERVATION_DIM, ACTION_DIM = 3, 1  # of this task
 NUM_TRANSITIONS = 600  # in replay

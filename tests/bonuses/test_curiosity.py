@@ -6,12 +6,14 @@ import torch
 from torch import nn
 
 from deep_curiosity.bonuses.curiosity import CuriosityBonus, Decomposition
-from deep_curiosity.gaussians import kl_to_mixture_sampled
-from deep_curiosity.bonuses.dynamics import Prediction
 from deep_curiosity.bonuses.decomposition import PARTS
+from deep_curiosity.bonuses.dynamics import DynamicsEnsemble
+from deep_curiosity.bonuses.marginal import NextStateMarginal
+from deep_curiosity.gaussians import DiagonalMixture, kl_to_mixture_sampled
 from deep_curiosity.transitions import Transition
 
-SMALL = {"members": 3, "hidden_dims": (16,), "components": 32, "refresh_interval": 1}
+OF_DYNAMICS = ("num_members", "members", "mixture_components", "noise_floor", "features")
+SMALL = {"num_members": 3, "members": "all", "hidden_dims": (16,), "refresh_interval": 1}
 
 
 def random_transition(batch=32, observation_dim=3, action_dim=2):
@@ -22,8 +24,18 @@ def random_transition(batch=32, observation_dim=3, action_dim=2):
     return Transition(observation, action, torch.randn(batch), next_observation, flag, flag)
 
 
-def small_bonus(**options):
-    return CuriosityBonus(3, 2, **SMALL | options)
+def small_bonus(observation_dim=3, action_dim=2, *, components=32, **options):
+    """A bonus with a dynamics and a marginal of its own, by the names of their arguments."""
+    options = SMALL | options
+    of_dynamics = {name: options.pop(name) for name in OF_DYNAMICS if name in options}
+    of_marginal = {"bandwidth": options.pop("bandwidth")} if "bandwidth" in options else {}
+    dynamics = DynamicsEnsemble(
+        observation_dim, action_dim, hidden_dims=options.pop("hidden_dims"), **of_dynamics
+    )
+    entries = options.get("entries")
+    dim = dynamics.predicted_dim if entries is None else max(len(entries), 1)
+    marginal = NextStateMarginal(dim, components=components, **of_marginal)
+    return CuriosityBonus(dynamics, marginal, **options)
 
 
 def watchful_bonus(**options):
@@ -38,14 +50,17 @@ class FixedDynamics(nn.Module):
 
     noise_floor = 0.05
 
-    def __init__(self, slopes, std=0.1):
+    round_robin = DynamicsEnsemble.round_robin
+
+    def __init__(self, slopes, std=0.1, members="all"):
         super().__init__()
         self.slopes, self.log_std = torch.tensor(slopes), math.log(std)
-        self.members = len(slopes)
+        self.num_members, self.members = len(slopes), members
 
-    def forward(self, observation, action, next_observation=None):
+    def forward(self, observation, action):
         loc = (self.slopes.view(-1, 1, 1) * action).unsqueeze(-2)
-        return Prediction(loc, torch.full_like(loc, 2 * self.log_std), torch.zeros(loc.shape[:-1]))
+        log_var = torch.full_like(loc, 2 * self.log_std)
+        return DiagonalMixture(loc, log_var, torch.zeros(loc.shape[:-1]))
 
     def observe(self, transition):
         pass
@@ -54,10 +69,10 @@ class FixedDynamics(nn.Module):
         return {}
 
 
-def bonus_of(*slopes, **options):
-    """A bonus about a world of known answers, with observations as long as actions."""
-    bonus = CuriosityBonus(2, 2, **SMALL | options)
-    bonus.dynamics = FixedDynamics(slopes)
+def bonus_of(*slopes, dim=2, members="all", **options):
+    """A bonus about an environment of known answers, with observations as long as actions."""
+    bonus = small_bonus(dim, dim, **options)
+    bonus.dynamics = FixedDynamics(slopes, members=members)
     return bonus
 
 
@@ -83,9 +98,10 @@ def test_bonus_of_known_answers_is_the_mean_divergence_of_the_members():
     bonus = bonus_of(1.0, 3.0)
     batch = random_transition(16, 2, 2)
     bonus.observe(batch)
-    loc, log_var, _ = bonus.dynamics(batch.observation, batch.action)
-    expected = torch.stack([bonus.marginal.kl_upper(loc[i], log_var[i]) for i in range(2)]).mean(0)
-    torch.testing.assert_close(bonus.nats(batch.observation, batch.action), expected.squeeze(-1))
+    prediction = bonus.dynamics(batch.observation, batch.action)
+    members = [DiagonalMixture(*(field[i] for field in prediction)) for i in range(2)]
+    expected = torch.stack([bonus.marginal.kl_upper(member) for member in members]).mean(0)
+    torch.testing.assert_close(bonus.nats(batch.observation, batch.action), expected)
 
 
 def test_where_one_seldom_ends_up_the_bonus_is_larger():
@@ -223,7 +239,7 @@ def test_parts_are_positive_and_the_bonus_bounds_their_sum():
     assert parts.total.mean() <= bonus.nats(batch.observation, batch.action).mean() + 0.05
 
 
-def noisy_and_rare_world(batch):
+def noisy_and_rare_transitions(batch):
     """Nine actions in ten lead to pure noise, the rest to one place."""
     observation = 0.1 * torch.randn(batch, 2)
     action = torch.rand(batch, 1) * 2 - 1
@@ -234,18 +250,27 @@ def noisy_and_rare_world(batch):
 
 
 def test_pure_noise_earns_nothing_once_its_variance_is_learned():
-    bonus = CuriosityBonus(2, 1, members=2, hidden_dims=(32, 32), center=False, scale=False)
+    bonus = small_bonus(
+        2,
+        1,
+        num_members=2,
+        hidden_dims=(32, 32),
+        components=256,
+        refresh_interval=10,
+        center=False,
+        scale=False,
+    )
     optimizer = torch.optim.Adam(bonus.parameters(), lr=5e-3, fused=True)
-    world = noisy_and_rare_world(5_000)
-    bonus.observe(world)
+    batch = noisy_and_rare_transitions(5_000)
+    bonus.observe(batch)
     for _ in range(300):
         rows = torch.randint(5_000, (256,))
         optimizer.zero_grad()
-        bonus.loss(Transition(*(field[rows] for field in world))).backward()
+        bonus.loss(Transition(*(field[rows] for field in batch))).backward()
         optimizer.step()
-    bonus.observe(world)
+    bonus.observe(batch)
     bonus.every.interval = 1
-    bonus.observe(world)
+    bonus.observe(batch)
     observation = torch.zeros(50, 2)
     noise = bonus.nats(observation, torch.linspace(-0.9, 0.6, 50).unsqueeze(-1))
     place = bonus.nats(observation, torch.full((50, 1), 0.95))
@@ -441,7 +466,7 @@ def test_metrics_keep_their_values():
 
 
 def test_the_five_lines_of_the_docstring_run_in_a_loop_of_ones_own():
-    bonus = CuriosityBonus(3, 2, hidden_dims=(16,))
+    bonus = CuriosityBonus.default(3, 2, hidden_dims=(16,))
     optimizer = torch.optim.Adam(bonus.parameters(), lr=1e-3)
 
     def policy(observation):
@@ -486,7 +511,7 @@ def test_a_feature_that_starts_to_move_late_does_not_drown_the_others():
         ("weight", math.nan),
         ("weight", math.inf),
         ("refresh_interval", 0),
-        ("members", 1),
+        ("num_members", 1),
         ("noise_floor", 0.0),
         ("components", 1),
         ("bandwidth", -1.0),
@@ -498,15 +523,16 @@ def test_what_is_out_of_range_is_rejected_by_name_and_value(name, value):
 
 
 class Coin(nn.Module):
-    """A world whose next state is 1 with the probability that the action says, and 0 otherwise."""
+    """Its next state is 1 with the probability that the action says, and 0 otherwise."""
 
-    noise_floor, members = 0.05, 2
+    noise_floor, num_members, members = 0.05, 2, "all"
+    round_robin = DynamicsEnsemble.round_robin
 
-    def forward(self, observation, action, next_observation=None):
+    def forward(self, observation, action):
         heads = 0.5 * (1 + action.squeeze(-1)).expand(2, -1)
         loc = torch.tensor([0.0, 1.0]).view(2, 1).expand(*heads.shape, 2, 1)
         log_weight = torch.stack([1 - heads, heads], -1).clamp(min=1e-6).log()
-        return Prediction(loc, torch.full_like(loc, 2 * math.log(0.05)), log_weight)
+        return DiagonalMixture(loc, torch.full_like(loc, 2 * math.log(0.05)), log_weight)
 
     def observe(self, transition):
         pass
@@ -517,7 +543,7 @@ class Coin(nn.Module):
 
 @pytest.fixture
 def coin_bonus():
-    bonus = CuriosityBonus(1, 1, **SMALL | {"components": 2_000, "refresh_interval": 1})
+    bonus = small_bonus(1, 1, components=2_000)
     bonus.dynamics = Coin()
     bonus.observe(random_transition(2_000, 1, 1)._replace(action=torch.zeros(2_000, 1)))
     return bonus
@@ -548,18 +574,19 @@ def test_metrics_bound_the_entropy_of_a_coin(coin_bonus):
 
 
 @pytest.mark.parametrize("batch", [1, 2, 7, 32])
-def test_a_member_per_row_answers_for_its_own_rows(batch):
-    bonus = bonus_of(1.0, 3.0, -2.0, member_per_row=True, weight=1.0, center=False, scale=False)
+def test_members_in_round_robin_answer_for_their_own_rows(batch):
+    bonus = bonus_of(1.0, 3.0, -2.0, members="round_robin", weight=1.0, center=False, scale=False)
     bonus.observe(random_transition(64, 2, 2))
     pairs = random_transition(batch, 2, 2)
-    loc, log_var, _ = bonus.dynamics(pairs.observation, pairs.action)
-    each = bonus.marginal.kl_upper(loc, log_var).squeeze(-1)  # members batch
+    each = bonus.marginal.kl_upper(
+        bonus.dynamics(pairs.observation, pairs.action)
+    )  # members batch
     expected = torch.stack([each[row % 3, row] for row in range(batch)])
     torch.testing.assert_close(bonus(pairs.observation, pairs.action), expected)
 
 
-def test_a_member_per_row_is_right_on_average():
-    bonus, batch = watchful_bonus(member_per_row=True, weight=1.0, center=False, scale=False)
+def test_members_in_round_robin_are_right_on_average():
+    bonus, batch = watchful_bonus(members="round_robin", weight=1.0, center=False, scale=False)
     pair = batch.observation[:1], batch.action[:1]
     repeated = [part.expand(3 * 4, -1) for part in pair]
     assert bonus(*repeated).mean().item() == pytest.approx(bonus.nats(*pair).item(), rel=1e-4)
@@ -577,9 +604,9 @@ RAW = {"weight": 1.0, "center": False, "scale": False}
         | {"negative_entropy": 0.5},
     ],
 )
-@pytest.mark.parametrize("outcomes", [1, 2])
-def test_parts_of_one_kind_make_up_the_divergence(parts, outcomes):
-    bonus, batch = watchful_bonus(parts=parts, outcomes=outcomes, **RAW)
+@pytest.mark.parametrize("mixture_components", [1, 2])
+def test_parts_of_one_kind_make_up_the_divergence(parts, mixture_components):
+    bonus, batch = watchful_bonus(parts=parts, mixture_components=mixture_components, **RAW)
     pair = batch.observation, batch.action
     torch.testing.assert_close(bonus(*pair), bonus.nats(*pair))
 
@@ -593,21 +620,19 @@ def test_parts_of_one_kind_make_up_the_divergence(parts, outcomes):
         ("negative_entropy", "conditional_entropy", -1),
     ],
 )
-@pytest.mark.parametrize("member_per_row", [False, True])
-def test_a_part_alone_is_what_sampling_says(part, name, sign, member_per_row):
-    bonus, batch = watchful_bonus(
-        parts={part: 2.0}, noise_floor=0.3, member_per_row=member_per_row, **RAW
-    )
+@pytest.mark.parametrize("members", ["all", "round_robin"])
+def test_a_part_alone_is_what_sampling_says(part, name, sign, members):
+    bonus, batch = watchful_bonus(parts={part: 2.0}, noise_floor=0.3, members=members, **RAW)
     noise = torch.randn(400, 3, 32, 1, 3)
     sampled = getattr(bonus.decompose(batch.observation, batch.action, noise), name).mean()
-    bonus.member_per_row = False  # so that all are asked, as in what is sampled
+    bonus.dynamics.members = "all"  # so that all are asked, as in what is sampled
     closed = bonus(batch.observation, batch.action).mean()
     torch.testing.assert_close(closed, 2 * sign * sampled, atol=0.1, rtol=0.05)
 
 
-def test_information_gain_asks_all_members_even_where_rows_take_turns():
+def test_information_gain_needs_all_members_even_where_rows_are_shared_out():
     parts = {"information_gain": 1.0}
-    bonus, batch = watchful_bonus(parts=parts, member_per_row=True, **RAW)
+    bonus, batch = watchful_bonus(parts=parts, members="round_robin", **RAW)
     whole = small_bonus(parts=parts, **RAW)
     whole.load_state_dict(bonus.state_dict())
     pair = batch.observation, batch.action
@@ -615,12 +640,13 @@ def test_information_gain_asks_all_members_even_where_rows_take_turns():
 
 
 def test_a_part_that_needs_one_member_asks_one_for_each_row():
-    bonus = bonus_of(1.0, 3.0, -2.0, parts={"cross_entropy": 1.0}, member_per_row=True, **RAW)
+    bonus = bonus_of(1.0, 3.0, -2.0, parts={"cross_entropy": 1.0}, members="round_robin", **RAW)
     bonus.observe(random_transition(64, 2, 2))
     pairs = random_transition(7, 2, 2)
-    loc, log_var, _ = bonus.dynamics(pairs.observation, pairs.action)
     entropy = math.log(2 * math.pi * math.e) + 2 * math.log(0.1)
-    each = bonus.marginal.kl_upper(loc, log_var).squeeze(-1) + entropy  # members batch
+    each = (
+        bonus.marginal.kl_upper(bonus.dynamics(pairs.observation, pairs.action)) + entropy
+    )  # members batch
     expected = torch.stack([each[row % 3, row] for row in range(7)])
     torch.testing.assert_close(bonus(pairs.observation, pairs.action), expected)
 
@@ -635,7 +661,7 @@ def test_standardisation_is_that_of_the_parts_rewarded():
 @pytest.mark.parametrize("part", PARTS)
 def test_every_part_has_the_right_gradient_in_the_action(part):
     torch.manual_seed(1)
-    bonus = small_bonus(noise_floor=0.5, parts={part: 1.0}, outcomes=2).double()
+    bonus = small_bonus(noise_floor=0.5, parts={part: 1.0}, mixture_components=2).double()
     batch = random_transition(8)
     batch = Transition(*(f.double() if f.is_floating_point() else f for f in batch))
     bonus.observe(batch)
@@ -645,22 +671,21 @@ def test_every_part_has_the_right_gradient_in_the_action(part):
     assert action.grad.abs().sum() > 0
 
 
-def test_all_parts_are_told_whichever_is_rewarded():
+def test_all_parts_are_logged_whichever_is_rewarded():
     whole, _ = watchful_bonus()
     for parts in ({"information_gain": 1.0}, {"cross_entropy": 1.0}):
         part = small_bonus(parts=parts)
         part.load_state_dict(whole.state_dict())
-        told, expected = part.metrics(), whole.metrics()
+        metrics, expected = part.metrics(), whole.metrics()
         for name in (*Decomposition._fields[:2], *Decomposition._fields[3:], "nats"):
-            assert told[name].equal(expected[name])
+            assert metrics[name].equal(expected[name])
 
 
 def test_curiosity_about_entries_is_that_of_their_marginal():
     """Of the one entry that an action moves, or of the other, which it leaves alone."""
     for entry in (0, 1, -1):
-        bonus = bonus_of(1.0, 2.0, features=[entry])
-        alone = CuriosityBonus(1, 1, **SMALL)
-        alone.dynamics = FixedDynamics((1.0, 2.0))
+        bonus = bonus_of(1.0, 2.0, entries=[entry])
+        alone = bonus_of(1.0, 2.0, dim=1)
         batch = random_transition(16, 2, 2)
         bonus.observe(batch)
         column = slice(entry % 2, entry % 2 + 1)
@@ -674,13 +699,13 @@ def test_curiosity_about_entries_is_that_of_their_marginal():
             bonus.nats(batch.observation, batch.action),
             alone.nats(single.observation, single.action),
         )
-        told, expected = bonus.metrics(), alone.metrics()
+        metrics, expected = bonus.metrics(), alone.metrics()
         for name in ("nats", "cross_entropy", "marginal_perplexity", "bound_gap"):
-            torch.testing.assert_close(told[name], expected[name])
+            torch.testing.assert_close(metrics[name], expected[name])
 
 
 def test_what_is_of_no_interest_has_no_gradient():
-    bonus = bonus_of(1.0, 2.0, features=(1,))
+    bonus = bonus_of(1.0, 2.0, entries=(1,))
     batch = random_transition(16, 2, 2)
     bonus.observe(batch)
     action = batch.action.clone().requires_grad_()
@@ -690,7 +715,7 @@ def test_what_is_of_no_interest_has_no_gradient():
 
 def test_all_entries_are_of_interest_by_default():
     whole, batch = watchful_bonus()
-    named = small_bonus(features=range(3))
+    named = small_bonus(entries=range(3))
     named.load_state_dict(whole.state_dict())
     pair = batch.observation, batch.action
     torch.testing.assert_close(named(*pair), whole(*pair))
@@ -707,10 +732,10 @@ def test_curiosity_about_a_function_measures_its_value():
     assert parts.total.mean() <= bonus.nats(batch.observation, batch.action).mean() + 0.05
 
 
-@pytest.mark.parametrize("features", [(), (0, 3), (-4,), (0, 0), (2, -1)])
-def test_features_that_are_no_entries_are_rejected(features):
+@pytest.mark.parametrize("entries", [(), (0, 3), (-4,), (0, 0), (2, -1)])
+def test_features_that_are_no_entries_are_rejected(entries):
     with pytest.raises(ValueError, match="`features` must name different entries of 3, got"):
-        small_bonus(features=features)
+        small_bonus(entries=entries)
 
 
 def test_the_marginal_starts_where_one_has_been_of_late_and_statistics_do_not():
@@ -756,7 +781,7 @@ def test_a_weight_with_a_goal_in_nats_rises_while_the_policy_earns_less(goal, ri
         bonus.observe(batch, staying)
     weight = bonus.metrics()["weight"].item()
     assert (weight > 0.1) is rises
-    standardised = bonus.standardization(bonus._estimate(batch.observation, batch.action))
+    standardised = bonus.standardization(bonus._score(batch.observation, batch.action))
     expected = weight / 0.1 * standardised
     torch.testing.assert_close(bonus(batch.observation, batch.action), expected)
 

@@ -87,12 +87,16 @@ def trained(config: Config) -> tuple[float, str]:
         value
         for part in ("agent", "bonus")
         for name, value in learner[part].items()
-        if name.endswith((".weight", ".bias", "log_temperature", "prior.loc", "raw_log_std", "prior.logits"))
+        if name.endswith(
+            (".weight", ".bias", "log_temperature", "prior.loc", "raw_log_std", "prior.logits")
+        )
     ]
     return summary["evaluation_return"], weights_hash(weights)
 
 
-def stable_baselines3(kind: type, buffer: dict[str, object], **options: object) -> tuple[float, str]:
+def stable_baselines3(
+    kind: type, buffer: dict[str, object], **options: object
+) -> tuple[float, str]:
     """An agent of Stable-Baselines3 with a curious buffer."""
     model = kind(
         "MlpPolicy",

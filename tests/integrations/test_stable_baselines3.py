@@ -396,7 +396,9 @@ def test_a_loaded_buffer_goes_on_bit_for_bit(tmp_path: Path) -> None:
         set_random_seed(1)
         drawn.append([buffer.sample(16).rewards for _ in range(5)])
     assert_equal(*drawn)
-    states = [b.attachment.learner.state_dict() for b in (agent.replay_buffer, other.replay_buffer)]
+    states = [
+        b.attachment.learner.state_dict() for b in (agent.replay_buffer, other.replay_buffer)
+    ]
     assert states[0].keys() == states[1].keys()
     assert_equal(*(list(state.values()) for state in states))
 

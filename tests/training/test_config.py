@@ -177,7 +177,7 @@ def test_hunger_and_temperature_are_read_from_their_text():
         ({"hunger": "conditioned:2"}, r"`hunger` must lie in \[0, 1\] where conditioned, got 2.0"),
         ({"hunger": "greed"}, "`hunger` must be a number, a schedule .* got 'greed'"),
         ({"hunger": "linear:1:0"}, "`last` must be finite and positive, got 0.0"),
-        ({"hunger": "conditioned:much"}, "`hunger` cannot be read: .*'much'"),
+        ({"hunger": "conditioned:much"}, "`hunger` cannot be read: .*'conditioned:much'"),
         ({"temperature": "slow:1:2"}, "`temperature` cannot be read: a schedule .* 'slow:1:2'"),
     ],
     ids=str,

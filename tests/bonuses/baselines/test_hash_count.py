@@ -4,33 +4,35 @@ import torch
 from deep_curiosity.bonuses.baselines import HashCountBonus
 from deep_curiosity.transitions import Transition
 
+RAW = {"weight": 1.0, "center": False, "scale": False, "refresh_interval": 1}
+
 
 def transition(state):
     flag = torch.zeros(len(state), dtype=torch.bool)
     return Transition(state, torch.zeros(len(state), 1), flag.float(), state, flag, flag)
 
 
-def ask(bonus, state):
+def compute(bonus, state):
     return bonus(state, torch.zeros(len(state), 1), state)
 
 
 def test_the_bonus_falls_with_the_root_of_the_count():
-    bonus = HashCountBonus(2, 1, weight=1.0)
+    bonus = HashCountBonus(2, 1, **RAW)
     state = torch.tensor([[0.3, -0.2]])
     bonus.observe(transition(torch.cat([state.expand(9, 2), torch.randn(50, 2) + 5])))
-    assert ask(bonus, state).item() == pytest.approx(1 / 3)
+    assert compute(bonus, state).item() == pytest.approx(1 / 3)
     bonus.observe(transition(state.expand(7, 2)))
-    assert ask(bonus, state).item() == pytest.approx(1 / 4)
+    assert compute(bonus, state).item() == pytest.approx(1 / 4)
 
 
-def test_what_was_never_seen_earns_one():
-    bonus = HashCountBonus(2, 1, weight=1.0)
+def test_what_was_never_visited_earns_one():
+    bonus = HashCountBonus(2, 1, **RAW)
     bonus.observe(transition(torch.randn(50, 2)))
-    assert ask(bonus, torch.tensor([[40.0, -60.0]])).item() == 1
+    assert compute(bonus, torch.tensor([[40.0, -60.0]])).item() == 1
 
 
 def test_a_state_keeps_its_code_while_statistics_go_on():
-    bonus = HashCountBonus(2, 1)
+    bonus = HashCountBonus(2, 1, refresh_interval=1)
     state = torch.randn(20, 2)
     bonus.observe(transition(state))
     before = bonus._slots(state)
@@ -38,7 +40,7 @@ def test_a_state_keeps_its_code_while_statistics_go_on():
     assert bonus._slots(state).equal(before)
 
 
-def test_states_on_one_ray_are_told_apart():
+def test_states_on_one_ray_have_different_codes():
     bonus = HashCountBonus(1, 1)
     bonus.observe(transition(torch.randn(50, 1)))
     near, far = bonus._slots(torch.tensor([[0.1], [2.0]])).unbind(1)
