@@ -9,7 +9,7 @@ from deep_curiosity.experiments.study import Study
 FOLDERS = {
     "comparisons": Path("docs/study"),
     "sweeps": Path("docs/sweeps"),
-    "illustrations": Path("docs/paper"),
+    "illustrations": Path("docs/study"),
 }
 """Module of each group of studies, to the folder of its tables."""
 LIBRARIES = ("stable_baselines3", "torchrl")
