@@ -198,7 +198,7 @@ class CuriousSAC(nn.Module):
         observation: Float[Tensor, "batch observation_dim"],
         hunger: Tensor | None = None,
     ) -> Float[Tensor, "batch policy_input_dim"]:
-        """Input of policy and critics: the observation, and behind it the hunger if conditioned on it.
+        """Input of policy and critics: the observation, and behind it the hunger if conditioned.
 
         Args:
             observation: As the environment gave it.
