@@ -31,6 +31,7 @@ lint: setup  ## ruff and mypy
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/mypy scripts/*.py
 
 figures: setup  ## run every study and write docs/study and docs/sweeps, some hours on 2 cores
 	for study in sparse control mountain_car dense bonuses subsampling \

@@ -93,7 +93,7 @@ def test_a_mistake_on_the_command_line_is_answered_in_one_line(
     assert message in f"{stopped.value.code}{printed.err}{printed.out}"
 
 
-@pytest.mark.parametrize("script", ["train.py", "evaluate.py", "study.py", "dials.py"])
+@pytest.mark.parametrize("script", ["train.py", "evaluate.py", "study.py"])
 def test_help_says_what_every_option_is(monkeypatch, capsys, script):
     with pytest.raises(SystemExit) as stopped:
         run_here(monkeypatch, script, "--help")

@@ -180,5 +180,5 @@ def _sealed(kind: Any) -> Any:
 
 
 def _blank(kind: type[nn.Module]) -> nn.Module:
-    """An instance without state; pickle takes no `__new__` of another class than the instance's."""
+    """An instance without state, of a class that pickle takes for the instance's own."""
     return kind.__new__(kind)
