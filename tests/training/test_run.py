@@ -2,13 +2,15 @@ import os
 import subprocess
 import sys
 
+import gymnasium
 import numpy as np
 import pytest
 import torch
 
 from deep_curiosity.replay import ReplayBuffer
 from deep_curiosity.training import Config, train
-from deep_curiosity.training.log import read_config, read_progress
+from deep_curiosity.training.environments import make_environment
+from deep_curiosity.training.log import Log, read_config, read_progress
 from deep_curiosity.training.run import (
     make_collector,
     merge_config,
@@ -66,14 +68,20 @@ def test_a_run_that_fails_leaves_the_process_as_it_was(tiny, two_threads, monkey
 
 def test_everything_that_was_opened_is_closed_however_a_run_ends(tiny, monkeypatch):
     closed = []
-    with pytest.raises(KeyError), open_run(tiny) as run:
-        for name in ("evaluation_environment", "log"):
-            monkeypatch.setattr(getattr(run, name), "close", lambda: None)
-        monkeypatch.setattr(
-            type(run.collector.environment), "close_extras", lambda self: closed.append(self)
-        )
+
+    class Recorded(gymnasium.Wrapper):
+        def close(self):
+            closed.append("environment")
+            super().close()
+
+    monkeypatch.setattr(
+        "deep_curiosity.training.run.make_environment",
+        lambda config: Recorded(make_environment(config)),
+    )
+    monkeypatch.setattr(Log, "close", lambda self: closed.append("log"))
+    with pytest.raises(KeyError), open_run(tiny):
         raise KeyError
-    assert closed == [run.collector.environment]
+    assert sorted(closed) == ["environment", "environment", "log"]
 
 
 def test_a_run_begins_with_a_checkpoint_and_its_settings(tiny):
