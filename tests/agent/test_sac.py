@@ -7,13 +7,23 @@ import torch
 from torch.distributions import Independent, Normal, TransformedDistribution
 from torch.distributions.transforms import TanhTransform
 
+from deep_curiosity.agent.config import AgentConfig
 from deep_curiosity.agent.sac import CuriousSAC
 from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.bonuses.baselines import ConstantBonus
-from deep_curiosity.transitions import Sequences, Transition
+from deep_curiosity.gaussians import DiagonalMixture
+from deep_curiosity.transitions import Sequences, Transition, as_sequences
 
 TEMPERATURE, DISCOUNT = 0.3, 0.9
 PAIRS = slice(0, 2), slice(2, 4)  # members of the extrinsic and of the curious pair of critics
+PLAIN = {  # soft actor-critic as it was published: every network learns from all of a batch
+    "temperature": 1.0,
+    "learning_rate": 3e-4,
+    "polyak": 0.005,
+    "actor_q": "min",
+    "actor_batch_fraction": 1.0,
+    "curiosity_coefficient": 1.0,
+}
 
 
 class PushingBonus(Bonus):
@@ -29,7 +39,7 @@ class PushingBonus(Bonus):
     def loss(self, transition):
         return self.slope.new_zeros((), requires_grad=True)
 
-    def observe(self, transition, policy=None):
+    def observe(self, transition, policy=None, visited=None):
         pass
 
     def metrics(self):
@@ -52,11 +62,17 @@ def double(transition):
 
 
 def small_agent(**options):
-    return CuriousSAC(3, 2, **{"hidden_dims": (16,)} | options)
+    return CuriousSAC.default(3, 2, **PLAIN | {"hidden_dim": 16} | options)
 
 
 def plain_agent(**options):
     return small_agent(curiosity=False, **options)
+
+
+def conditioned_agent(**options):
+    """An agent whose policy and critics are given the hunger."""
+    conditioned = {"hunger": "conditioned:1.0", "curiosity_coefficient": "adaptive"}
+    return small_agent(**conditioned | options)
 
 
 def members_of(network, members):
@@ -71,8 +87,8 @@ def copies(parameters):
     return [parameter.detach().clone() for parameter in parameters]
 
 
-def let_answer(critics, *values):
-    """Make each pair of critics answer a constant."""
+def fix_values(critics, *values):
+    """Make each pair of critics constant."""
     for parameter in critics.parameters():
         parameter.data.zero_()
     last = critics.network.layers[-1].bias.data
@@ -82,13 +98,13 @@ def let_answer(critics, *values):
 
 @pytest.fixture
 def noise(monkeypatch):
-    """The draws of one update, in order: at the next observation, then at the observation."""
-    draws = torch.randn(2, 32, 2, dtype=torch.float64)
-    queue = iter(draws)
+    """The noise of one update, in order: at the next observation, then at the observation."""
+    noise = torch.randn(2, 32, 2, dtype=torch.float64)
+    queue = iter(noise)
     monkeypatch.setattr(
-        torch, "randn_like", lambda like: next(queue)[: like.shape[-2]].to(like).unsqueeze(0)
+        torch, "randn_like", lambda like: next(queue)[: len(like)].to(like).unsqueeze(1)
     )
-    return draws
+    return noise
 
 
 def assert_gradients(agent, part, expected, atol):
@@ -99,14 +115,13 @@ def assert_gradients(agent, part, expected, atol):
         torch.testing.assert_close(actual, parameter.grad, atol=atol, rtol=0)
 
 
-def only_mode(policy):
-    (loc,), (log_std,), _ = policy
-    return loc, log_std
+def only_component(policy):
+    return policy.loc.squeeze(1), 0.5 * policy.log_var.squeeze(1)
 
 
 def soft_actor_critic_policy(agent, observation, noise):
     """Reparameterised action and its log density, from torch's own distributions."""
-    loc, log_std = only_mode(agent.policy(observation))
+    loc, log_std = only_component(agent.policy(observation))
     squash = TanhTransform(cache_size=1)
     policy = TransformedDistribution(Independent(Normal(loc, log_std.exp()), 1), squash)
     action = squash(loc + log_std.exp() * noise)
@@ -125,14 +140,14 @@ def soft_actor_critic_critic_loss(agent, batch, noise):
     return 0.5 * half(first, target) + 0.5 * half(second, target)
 
 
-def soft_actor_critic_policy_loss(agent, critics, batch, noise, climbed=torch.min):
+def soft_actor_critic_policy_loss(agent, critics, batch, noise, maximised=torch.min):
     """The same, equation (7)."""
     action, log_prob = soft_actor_critic_policy(agent, batch.observation, noise)
     first, second = critics(batch.observation, action)[0]
-    return (TEMPERATURE * log_prob - climbed(first, second)).mean(), log_prob
+    return (TEMPERATURE * log_prob - maximised(first, second)).mean(), log_prob
 
 
-def in_turn(first, second):
+def alternate(first, second):
     """Even rows of the one, odd rows of the other."""
     return torch.where(torch.arange(len(first)) % 2 == 0, first, second)
 
@@ -171,8 +186,8 @@ def test_without_curiosity_the_temperature_loss_is_that_of_soft_actor_critic(noi
     assert_gradients(agent, "temperature", [before.log_temperature], atol=1e-6)
 
 
-def test_with_a_stride_the_actor_learns_from_the_rows_it_takes_and_the_critics_from_all(noise):
-    before, agent, batch = updated_pair(actor_stride=3)
+def test_the_actor_learns_from_its_fraction_of_a_batch_and_the_critics_from_all_of_it(noise):
+    before, agent, batch = updated_pair(actor_batch_fraction=1 / 3)
     taken = Transition(*(field[::3] for field in batch))
     metrics = agent.update(batch)
     evaluation = soft_actor_critic_critic_loss(before, batch, noise[0])
@@ -187,33 +202,42 @@ def test_with_a_stride_the_actor_learns_from_the_rows_it_takes_and_the_critics_f
     assert_gradients(agent, "temperature", [before.log_temperature], atol=1e-6)
 
 
-def test_with_a_critic_per_row_the_actor_climbs_one_and_the_critics_learn_from_the_smaller(noise):
-    before, agent, batch = updated_pair(critic_per_row=True)
+def test_the_actor_may_maximise_alternate_critics_which_learn_from_the_smaller(noise):
+    before, agent, batch = updated_pair(actor_q="alternate")
     metrics = agent.update(batch)
     evaluation = soft_actor_critic_critic_loss(before, batch, noise[0])
     assert metrics["critic_loss"].item() == pytest.approx(evaluation.item(), abs=1e-6)
 
     improvement, _ = soft_actor_critic_policy_loss(
-        before, agent.critics, batch, noise[1], climbed=in_turn
+        before, agent.critics, batch, noise[1], maximised=alternate
     )
     assert metrics["policy_loss"].item() == pytest.approx(improvement.item(), abs=1e-6)
     improvement.backward()
     assert_gradients(agent, "policy", before.policy.parameters(), atol=1e-6)
 
 
-def test_with_a_stride_every_row_keeps_its_own_hunger():
-    observation, hunger = torch.randn(5, 3), torch.linspace(0, 1, 5)
-    taken, own = dialled_agent(actor_stride=2)._thinned(observation, hunger)
-    assert taken.equal(observation[::2]) and own.equal(hunger[::2])
+def test_every_row_of_a_fraction_of_a_batch_keeps_its_own_hunger(monkeypatch):
+    agent, batch = conditioned_agent(actor_batch_fraction=0.5), random_transition()
+    hunger, inputs, policy_input = torch.linspace(0, 1, 32), [], agent.policy_input
+
+    def recorded(observation, hunger=None):
+        inputs.append((observation, hunger))
+        return policy_input(observation, hunger)
+
+    monkeypatch.setattr(agent, "policy_input", recorded)
+    agent._update_actor(as_sequences(batch), PushingBonus(1.0), hunger)
+    assert inputs
+    for observation, own in inputs:
+        assert observation.equal(batch.observation[::2]) and own.equal(hunger[::2])
 
 
 def test_log_density_agrees_with_stable_baselines3():
     distributions = pytest.importorskip("stable_baselines3.common.distributions")
     agent, observation = plain_agent(), torch.randn(64, 3)
     policy = agent.policy(observation)
-    pre_action = policy.draw().clamp(-2, 2)  # it adds 1e-6 in the log
+    pre_action = policy.sample().clamp(-2, 2)  # it adds 1e-6 in the log
     witness = distributions.SquashedDiagGaussianDistribution(2)
-    witness.proba_distribution(*only_mode(policy))
+    witness.proba_distribution(*only_component(policy))
     expected = witness.log_prob(torch.tanh(pre_action), pre_action)
     actual = policy.log_prob(pre_action) - agent.prior.log_prob(pre_action)
     torch.testing.assert_close(actual, expected, atol=1e-4, rtol=0)
@@ -225,8 +249,8 @@ def test_log_density_agrees_with_stable_baselines3():
 )
 def test_truncation_bootstraps_and_termination_does_not(terminated, truncated, target):
     agent = plain_agent(discount=DISCOUNT, soft_backup=False)
-    let_answer(agent.critics, 0.0)
-    let_answer(agent.target_critics, 10.0)
+    fix_values(agent.critics, 0.0)
+    fix_values(agent.target_critics, 10.0)
     batch = random_transition(1)._replace(
         reward=torch.ones(1),
         terminated=torch.tensor([terminated]),
@@ -238,8 +262,8 @@ def test_truncation_bootstraps_and_termination_does_not(terminated, truncated, t
 
 def test_curiosity_is_discounted_by_its_own_discount():
     agent = small_agent(discount=0.9, curiosity_discount=0.5, soft_backup=False)
-    let_answer(agent.critics, 0.0, 0.0)
-    let_answer(agent.target_critics, 10.0, 4.0)
+    fix_values(agent.critics, 0.0, 0.0)
+    fix_values(agent.target_critics, 10.0, 4.0)
     batch = random_transition(1)._replace(
         reward=torch.ones(1), terminated=torch.tensor([False]), truncated=torch.tensor([True])
     )
@@ -269,7 +293,7 @@ def test_value_is_purely_about_reward_by_default_where_the_prior_is_learned(prio
 
 
 def updated(agent, batch, bonus=None):
-    """A copy of the agent after one update with the same random draws."""
+    """A copy of the agent after one update with the same random numbers."""
     agent = deepcopy(agent)
     torch.manual_seed(7)
     agent.update(batch, bonus)
@@ -298,7 +322,7 @@ def test_the_curiosity_critic_ignores_the_reward():
 @pytest.mark.parametrize("slope", [-10.0, 10.0])
 def test_a_large_bonus_on_one_action_moves_the_policy_toward_it(curiosity_discount, slope):
     agent = small_agent(
-        curiosity_discount=curiosity_discount, learning_rate=1e-2, tune_temperature=False
+        curiosity_discount=curiosity_discount, learning_rate=1e-2, temperature="constant:1.0"
     )
     bonus = PushingBonus(slope)
     for _ in range(120):
@@ -312,7 +336,7 @@ def test_without_curiosity_critic_the_gradient_of_the_bonus_reaches_the_actor_at
     agent, batch = small_agent(curiosity_discount=0.0), random_transition()
     still, pushed = (updated(agent, batch, PushingBonus(slope)) for slope in (0.0, 1_000.0))
     still_slope, slope = (
-        one.optimizers["policy"].mean_3[0, 0, 0] / 0.1 for one in (still, pushed)
+        one.optimizers["policy"].mean_5[0, 0, 0] / 0.1 for one in (still, pushed)
     )
     assert slope < -10 < 10 * still_slope  # of the loss, in the last bias
     mean = [one.act(batch.observation, deterministic=True)[:, 0].mean() for one in (still, pushed)]
@@ -332,7 +356,7 @@ def test_a_constant_bonus_moves_nothing_where_no_critic_learns_it():
 
 
 def test_a_constant_bonus_does_not_push_the_policy_either_way():
-    agent = small_agent(curiosity_discount=0.5, learning_rate=1e-2, tune_temperature=False)
+    agent = small_agent(curiosity_discount=0.5, learning_rate=1e-2, temperature="constant:1.0")
     for _ in range(120):
         agent.update(random_transition(64), ConstantBonus(10.0))
     action = agent.act(torch.randn(256, 3), deterministic=True)
@@ -340,10 +364,10 @@ def test_a_constant_bonus_does_not_push_the_policy_either_way():
 
 
 def actor_terms(agent, batch, noise, critics):
-    """Information cost and values of the actions that an update draws."""
+    """Information cost and values of the actions that an update samples."""
     with torch.no_grad():
         policy = agent.policy(batch.observation)
-        (pre_action,) = policy.pre_actions(noise.unsqueeze(0))
+        pre_action = policy.component_samples(noise.unsqueeze(1)).squeeze(1)
         cost = policy.log_prob(pre_action) - agent.prior.log_prob(pre_action)
         return cost.mean(), critics.lower(batch.observation, torch.tanh(pre_action)).mean(-1)
 
@@ -362,44 +386,46 @@ def test_hunger_and_temperature_change_the_actor_loss_as_the_formula_says(
     assert metrics["policy_loss"].item() == pytest.approx(expected.item(), abs=1e-6)
 
 
-@pytest.mark.parametrize(("spreads", "share"), [((4.0, 1.0), 0.25), ((1.0, 4.0), 1.0)])
-def test_curiosity_yields_by_the_ratio_of_spreads_and_never_grows(spreads, share):
-    agent = small_agent(yielding=True)
-    agent.spreads.copy_(torch.tensor(spreads))
-    assert agent.curiosity_share == share
-    assert agent.metrics()["curiosity_share"] == share
+@pytest.mark.parametrize(("stds", "coefficient"), [((4.0, 1.0), 0.25), ((1.0, 4.0), 1.0)])
+def test_an_adaptive_coefficient_is_the_ratio_of_stds_and_at_most_one(stds, coefficient):
+    agent = small_agent(curiosity_coefficient="adaptive")
+    agent.value_stds.copy_(torch.tensor(stds))
+    assert agent.curiosity_coefficient == coefficient
+    assert agent.metrics()["curiosity_coefficient"] == coefficient
 
 
-def test_what_yields_is_the_curiosity_value_in_the_actor():
-    agent, batch = small_agent(yielding=True), random_transition()
-    agent.spreads.copy_(torch.tensor([4.0, 1.0]))
-    action = batch.action.unsqueeze(0)  # of the policy's only mode
-    (value,), (curiosity_value,) = agent._values(batch.observation, action, None, torch.ones(()))
+def test_the_coefficient_weighs_the_curiosity_value_in_the_actor():
+    agent, batch = small_agent(curiosity_coefficient="adaptive"), random_transition()
+    agent.value_stds.copy_(torch.tensor([4.0, 1.0]))
+    action = batch.action.unsqueeze(0)  # of the policy's only component
+    bonus = torch.zeros(32)
+    (value,), (curiosity_value,) = agent._values(batch.observation, action, bonus, torch.ones(()))
     lower = agent.critics.lower(batch.observation, batch.action)
     torch.testing.assert_close((value, curiosity_value), (lower[0], 0.25 * lower[1]))
 
 
-def test_curiosity_does_not_yield_unless_told_to():
-    agent = small_agent()
-    agent.spreads.copy_(torch.tensor([4.0, 1.0]))
-    assert agent.curiosity_share == 1
+def test_a_coefficient_that_is_a_number_stays():
+    agent = small_agent(curiosity_coefficient=1.0)
+    agent.value_stds.copy_(torch.tensor([4.0, 1.0]))
+    assert agent.curiosity_coefficient == 1
 
 
-def test_spreads_follow_the_values_over_the_batch():
-    agent, batch = small_agent(yielding=True), random_transition()
+def test_standard_deviations_follow_the_values_over_the_batch():
+    agent, batch = small_agent(curiosity_coefficient="adaptive"), random_transition()
     value = agent.critics(batch.observation, batch.action).detach()
     agent.update(batch, ConstantBonus(1.0))
     expected = 0.01 * value.mean(1).std(-1, correction=0)
-    torch.testing.assert_close(agent.spreads, expected)
+    torch.testing.assert_close(agent.value_stds, expected)
 
 
-def test_with_zero_discount_the_actor_climbs_the_bonus_itself(noise):
+def test_with_zero_discount_the_actor_maximises_the_bonus_itself(noise):
     agent = small_agent(curiosity_discount=0.0).double()
     batch, before = double(random_transition()), deepcopy(agent)
     metrics = agent.update(batch, PushingBonus(3.0).double())
     cost, value = actor_terms(before, batch, noise[1], agent.critics)
     with torch.no_grad():
-        (action,) = torch.tanh(before.policy(batch.observation).pre_actions(noise[1:]))
+        policy = before.policy(batch.observation)
+        action = torch.tanh(policy.component_samples(noise[1].unsqueeze(1))).squeeze(1)
     expected = cost - value[0] - 3 * action[:, 0].mean()
     assert metrics["policy_loss"].item() == pytest.approx(expected.item(), abs=1e-6)
 
@@ -431,7 +457,8 @@ def test_a_tuned_temperature_rises_while_the_rate_is_above_target(prior, target,
 
 
 def test_a_fixed_temperature_stays():
-    agent = plain_agent(temperature=0.2, tune_temperature=False, target_information_rate=-50.0)
+    agent = plain_agent(temperature="constant:0.2")
+    agent.target_information_rate = -50.0
     agent.update(random_transition())
     assert agent.temperature == pytest.approx(0.2)
 
@@ -473,7 +500,8 @@ def test_the_prior_is_pulled_by_its_own_loss_alone(noise):
     agent = plain_agent(prior="learned").double()
     batch, before = double(random_transition()), deepcopy(agent)
     agent.update(batch)
-    pre_action = before.policy(batch.observation).pre_actions(noise[1:]).detach()
+    policy = before.policy(batch.observation)
+    pre_action = policy.component_samples(noise[1].unsqueeze(1)).detach()
     (-before.prior.log_prob(pre_action).mean()).backward()
     assert_gradients(agent, "prior", before.prior.parameters(), atol=1e-8)
 
@@ -529,7 +557,8 @@ def test_the_update_changes_neither_transition_nor_bonus():
 def assert_same_state(one, other):
     one, other = one.state_dict(), other.state_dict()
     assert one.keys() == other.keys()
-    assert all(one[name].equal(other[name]) for name in one)
+    for name in one:
+        torch.testing.assert_close(one[name], other[name], rtol=0, atol=0, equal_nan=True)
 
 
 def train(agent, steps, seed):
@@ -599,8 +628,36 @@ def test_a_deterministic_action_is_the_centre_of_the_policy():
     agent, observation = small_agent(), torch.randn(9, 3)
     random_state = torch.get_rng_state()
     action = agent.act(observation, deterministic=True)
-    torch.testing.assert_close(action, agent.policy(observation).loc[0].detach().tanh())
+    torch.testing.assert_close(action, agent.policy(observation).loc.squeeze(1).detach().tanh())
     assert torch.get_rng_state().equal(random_state)
+
+
+class FixedPolicy(torch.nn.Module):
+    """The same mixture of pre-actions at every observation."""
+
+    def __init__(self, loc, weight):
+        super().__init__()
+        self.loc, self.log_weight = torch.tensor(loc), torch.tensor(weight).log()
+
+    def forward(self, observation):
+        batch = len(observation)
+        loc = self.loc.expand(batch, *self.loc.shape)
+        return DiagonalMixture(loc, torch.zeros_like(loc), self.log_weight.expand(batch, -1))
+
+
+def test_a_deterministic_action_is_squashed():
+    agent = small_agent()
+    agent.policy = FixedPolicy([[0.5, -30.0]], [1.0])
+    action = agent.act(torch.zeros(1, 3), deterministic=True)
+    torch.testing.assert_close(action, torch.tensor([[math.tanh(0.5), -1.0]]))
+
+
+@pytest.mark.parametrize(("weight", "centre"), [(0.3, -2.0), (0.7, 1.0)])
+def test_a_deterministic_action_is_the_centre_of_the_weightiest_component(weight, centre):
+    agent = small_agent()
+    agent.policy = FixedPolicy([[-2.0, -2.0], [1.0, 1.0]], [1 - weight, weight])
+    action = agent.act(torch.zeros(1, 3), deterministic=True)
+    torch.testing.assert_close(action, torch.full((1, 2), math.tanh(centre)))
 
 
 def test_an_observation_of_wrong_length_is_rejected():
@@ -632,7 +689,14 @@ def test_a_bonus_for_an_agent_without_curiosity_is_rejected():
         ("learning_rate", 0.0),
         ("polyak", 0.0),
         ("polyak", 1.5),
-        ("actor_stride", 0),
+        ("actor_batch_fraction", 0.0),
+        ("actor_batch_fraction", 1.5),
+        ("actor_batch_fraction", 0.4),
+        ("reward_steps", 0),
+        ("curiosity_steps", 0),
+        ("curiosity_coefficient", -1.0),
+        ("hidden_dim", 0),
+        ("policy_mixture_components", 0),
         ("target_information_rate", math.nan),
     ],
 )
@@ -642,7 +706,7 @@ def test_what_is_out_of_range_is_rejected_by_name_and_value(name, value):
 
 
 @pytest.mark.parametrize(("name", "value"), [("hunger", -1.0), ("temperature", 0.0)])
-def test_a_dial_set_out_of_range_is_rejected_and_stays(name, value):
+def test_a_number_set_out_of_range_is_rejected_and_stays(name, value):
     agent = small_agent()
     with pytest.raises(ValueError, match=rf"`{name}`.*got {value}"):
         setattr(agent, name, value)
@@ -654,38 +718,39 @@ def test_an_unknown_prior_is_rejected():
         small_agent(prior="habit")
 
 
-def test_the_gradient_of_a_policy_of_two_modes_is_that_of_its_expectation():
-    agent = small_agent(policy_modes=2, prior="learned", temperature=0.3).double()
+def test_the_gradient_of_a_policy_of_two_components_is_that_of_its_expectation():
+    agent = small_agent(policy_mixture_components=2, prior="learned", temperature=0.3).double()
     batch, before = double(random_transition()), deepcopy(agent)
     torch.manual_seed(1)
     agent.update(batch, PushingBonus(1.0).double())
     with torch.random.fork_rng():
         torch.manual_seed(1)
-        before.policy(batch.next_observation).draw()  # what the critics' targets take
+        before.policy(batch.next_observation).sample()  # what the critics' targets take
         policy = before.policy(batch.observation)
         noise = torch.randn_like(policy.loc)
     loss = 0.0
-    for mode, weight in zip(policy.pre_actions(noise), policy.log_weight.exp(), strict=True):
-        cost = policy.log_prob(mode) - before.prior.log_prob(mode)
-        value, curiosity_value = agent.critics.lower(batch.observation, torch.tanh(mode))
+    pre_actions = policy.component_samples(noise).transpose(0, 1)  # components batch dim
+    for pre_action, weight in zip(pre_actions, policy.log_weight.exp().mT, strict=True):
+        cost = policy.log_prob(pre_action) - before.prior.log_prob(pre_action)
+        value, curiosity_value = agent.critics.lower(batch.observation, torch.tanh(pre_action))
         loss = loss + (weight * (0.3 * cost - value - curiosity_value)).mean()
     loss.backward()
     assert_gradients(agent, "policy", before.policy.parameters(), atol=1e-8)
 
 
-def test_a_policy_of_two_modes_keeps_two_ways_apart():
+def test_a_policy_of_two_components_keeps_two_ways_apart():
     class Either(PushingBonus):
         """Pays for an action far from the middle, on either side."""
 
         def forward(self, observation, action, next_observation=None):
             return self.slope * action[:, 0].abs()
 
+    torch.manual_seed(2)  # of six agents some three keep both, where their components begin apart
     agent = small_agent(
-        policy_modes=2,
+        policy_mixture_components=2,
         curiosity_discount=0.0,
         hunger=0.0,
-        temperature=0.05,
-        tune_temperature=False,
+        temperature="constant:0.05",
         learning_rate=1e-2,
     )
     bonus = Either(1.0)
@@ -696,28 +761,25 @@ def test_a_policy_of_two_modes_keeps_two_ways_apart():
     assert 0.2 < (action > 0).float().mean() < 0.8
 
 
-def dialled_agent(**kwargs):
-    return small_agent(dial=True, **kwargs)
-
-
-def test_on_a_dial_policy_and_critics_see_the_hunger_and_nothing_else_changes():
-    agent = dialled_agent()
+def test_where_conditioned_policy_and_critics_are_given_the_hunger_and_nothing_else_changes():
+    agent = conditioned_agent()
     observation = torch.randn(4, 3)
-    seen = agent.seen(observation, torch.tensor([0.0, 0.25, 0.5, 1.0]))
-    assert seen[:, :3].equal(observation)
-    assert seen[:, 3].tolist() == [0.0, 0.25, 0.5, 1.0]
+    policy_input = agent.policy_input(observation, torch.tensor([0.0, 0.25, 0.5, 1.0]))
+    assert policy_input[:, :3].equal(observation)
+    assert policy_input[:, 3].tolist() == [0.0, 0.25, 0.5, 1.0]
     agent.hunger = 0.75
-    assert agent.seen(observation)[:, 3].tolist() == [0.75] * 4
-    assert small_agent().seen(observation) is observation
+    assert agent.policy_input(observation)[:, 3].tolist() == [0.75] * 4
+    assert agent.is_conditioned and not small_agent().is_conditioned
+    assert small_agent().policy_input(observation) is observation
 
 
 def test_hunger_must_be_one_number_or_one_for_each():
     with pytest.raises(ValueError, match=r"`hunger` must be one number or 4, got shape \(1,\)"):
-        dialled_agent().seen(torch.randn(4, 3), torch.tensor([0.5]))
+        conditioned_agent().policy_input(torch.randn(4, 3), torch.tensor([0.5]))
 
 
-def test_relabelled_hungers_cover_the_dial_with_both_its_ends():
-    hunger = dialled_agent()._drawn_hunger(torch.zeros(4_000))
+def test_relabelled_hungers_go_from_zero_to_one_with_both_ends():
+    hunger = conditioned_agent()._sample_hunger(torch.zeros(4_000))
     assert hunger.min() == 0 and hunger.max() == 1
     for end in (0.0, 1.0):
         assert (hunger == end).double().mean().item() == pytest.approx(0.25, abs=0.03)
@@ -725,20 +787,20 @@ def test_relabelled_hungers_cover_the_dial_with_both_its_ends():
     assert inner.mean().item() == pytest.approx(0.5, abs=0.03)
 
 
-def test_a_dial_weighs_reward_and_curiosity_in_units_of_their_spread():
-    agent = dialled_agent()
+def test_a_conditioned_agent_weighs_curiosity_in_units_of_the_standard_deviations():
+    agent = conditioned_agent()
     hunger = torch.tensor([0.0, 0.5, 1.0])
-    agent.spreads.copy_(torch.tensor([8.0, 2.0]))
-    assert agent._share_of_curiosity(hunger).tolist() == [4.0, 2.0, 0.0]
-    agent.spreads.copy_(torch.tensor([0.5, 2.0]))  # little reward is not blown up
-    assert agent._share_of_curiosity(hunger).tolist() == [1.0, 0.5, 0.0]
+    agent.value_stds.copy_(torch.tensor([8.0, 2.0]))
+    assert agent._coefficient(hunger).tolist() == [4.0, 2.0, 0.0]
+    agent.value_stds.copy_(torch.tensor([0.5, 2.0]))  # little reward is not blown up
+    assert agent._coefficient(hunger).tolist() == [1.0, 0.5, 0.0]
 
 
-def test_one_dialled_agent_learns_to_be_greedy_and_to_be_curious():
-    """One step worlds: reward is for the left, the bonus is for the right."""
+def test_one_conditioned_agent_learns_to_be_greedy_and_to_be_curious():
+    """Episodes of one step: reward is for the left, the bonus is for the right."""
 
     torch.manual_seed(0)
-    agent = dialled_agent(learning_rate=1e-2, temperature=0.05, tune_temperature=False)
+    agent = conditioned_agent(learning_rate=1e-2, temperature="constant:0.05")
     bonus = PushingBonus(1.0)
     for _ in range(300):
         batch = random_transition()
@@ -753,32 +815,34 @@ def test_one_dialled_agent_learns_to_be_greedy_and_to_be_curious():
     assert (action[1.0] < -0.5).all()
 
 
-def test_a_dial_goes_no_further_than_one():
-    with pytest.raises(ValueError, match=r"`hunger` must lie in \[0, 1\] on a dial, got 2.0"):
-        dialled_agent(hunger=2.0)
+def test_a_conditioned_hunger_goes_no_further_than_one():
+    agent = conditioned_agent()
+    with pytest.raises(ValueError, match=r"`hunger` must lie in \[0, 1\] where cond.*got 2.0"):
+        agent.hunger = 2.0
+    assert agent.hunger == 1
 
 
 def test_curiosity_that_is_switched_off_does_not_move_the_actor():
-    agent = small_agent(yielding=False)
-    agent.curiosity_weight = 0.0
-    action = torch.rand(1, 8, 2)
-    _, curiosity_value = agent._values(torch.randn(8, 3), action, None, torch.ones(()))
-    assert curiosity_value.abs().max() == 0
-    with pytest.raises(ValueError, match="`curiosity_weight` must be finite and not negative"):
-        agent.curiosity_weight = -1.0
+    for agent in (small_agent(), small_agent(curiosity_coefficient="adaptive")):
+        agent.curiosity_coefficient = 0.0
+        action, bonus = torch.rand(1, 8, 2), torch.ones(8)
+        _, curiosity_value = agent._values(torch.randn(8, 3), action, bonus, torch.ones(()))
+        assert curiosity_value.abs().max() == 0
+        with pytest.raises(ValueError, match="`curiosity_coefficient` must be finite and not neg"):
+            agent.curiosity_coefficient = -1.0
 
 
 @pytest.mark.parametrize("episodic", [True, False])
-def test_only_an_episodic_curiosity_value_ends_with_the_world(episodic):
+def test_only_an_episodic_curiosity_value_ends_with_the_episode(episodic):
     agent = small_agent(curiosity_episodic=episodic, prior="learned")
     batch = random_transition()
     batch = batch._replace(reward=torch.zeros(32), terminated=torch.ones(32, dtype=torch.bool))
-    value, curiosity_value = agent._targets(batch, PushingBonus(0.0), torch.ones(()))
+    value, curiosity_value = agent._targets(as_sequences(batch), PushingBonus(0.0), torch.ones(()))
     assert value.abs().max() == 0
     assert (curiosity_value.abs().max() == 0) == episodic
 
 
-def test_information_of_the_actions_is_told_from_both_sides_and_leaves_the_random_stream():
+def test_information_of_the_actions_is_bounded_from_both_sides_and_leaves_the_random_stream():
     agent, observation = small_agent(), torch.randn(64, 3)
     random_state = torch.get_rng_state()
     metrics = agent.metrics(observation)
@@ -789,20 +853,18 @@ def test_information_of_the_actions_is_told_from_both_sides_and_leaves_the_rando
 
 @pytest.mark.parametrize("factor", [pytest.param(0.01, marks=pytest.mark.slow), 100.0])
 def test_the_rate_is_held_from_any_start_within_a_factor_of_a_hundred(factor):
-    """One step worlds, in which the best action is a linear function of the state."""
+    """Episodes of one step, in which the best action is a linear function of the state."""
     torch.manual_seed(0)
     right, target = 0.035, 1.0
-    agent = CuriousSAC(
-        1,
-        1,
-        hidden_dims=(32,),
-        curiosity=False,
-        prior="learned",
-        temperature=factor * right,
-        target_information_rate=target,
-        learning_rate=1e-2,
-        polyak=0.1,
-    )
+    options = {
+        "hidden_dim": 32,
+        "prior": "learned",
+        "temperature": factor * right,
+        "target_information_rate": target,
+        "learning_rate": 1e-2,
+        "polyak": 0.1,
+    }
+    agent = CuriousSAC.default(1, 1, curiosity=False, **PLAIN | options)
     rates, prices = [], []
     for _ in range(1_500):
         observation = 2 * torch.rand(128, 1) - 1
@@ -849,9 +911,9 @@ def test_each_value_sums_as_many_steps_as_are_its_own(episodic):
         curiosity_discount=0.1,
         prior="learned",
     )
-    let_answer(agent.target_critics, 8.0, 1000.0)
+    fix_values(agent.target_critics, 8.0, 1000.0)
     sequences = random_sequences(3)
-    value, curiosity_value = agent._targets_ahead(sequences, PushingBonus(1.0), torch.ones(()))
+    value, curiosity_value = agent._targets(sequences, PushingBonus(1.0), torch.ones(()))
     reward = sequences.steps.reward.unflatten(0, (3, 32))
     bonus = sequences.steps.action[:, 0].unflatten(0, (3, 32))
     for row in range(32):
@@ -872,3 +934,53 @@ def test_sequences_that_are_too_short_are_refused():
         agent.update(random_transition(), PushingBonus(1.0))
     with pytest.raises(ValueError, match="got 2"):
         agent.update(random_sequences(2), PushingBonus(1.0))
+
+
+CASES = {
+    "one step": ({}, 1),
+    "several steps": ({"reward_steps": 3, "curiosity_steps": 2}, 3),
+    "conditioned": ({"hunger": "conditioned:0.5", "curiosity_coefficient": "adaptive"}, 1),
+    "learned prior, two components": ({"prior": "learned", "policy_mixture_components": 2}, 1),
+    "as in training": ({"actor_q": "alternate", "actor_batch_fraction": 0.5}, 1),
+}
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_bonus_given_as_a_tensor_or_as_a_function_teaches_the_same(case):
+    options, num_steps = CASES[case]
+    agent, bonus = small_agent(**options), PushingBonus(1.0)
+    batch = random_sequences(num_steps) if num_steps > 1 else random_transition()
+    one, other = deepcopy(agent), deepcopy(agent)
+    for _ in range(3):
+        steps = as_sequences(batch).steps
+        value = bonus(steps.observation, steps.action, steps.next_observation)
+        all_metrics = []
+        for each, given in ((one, value), (other, bonus)):
+            torch.manual_seed(3)
+            all_metrics.append(each.update(batch, given))
+        assert_same_state(one, other)
+        assert all(all_metrics[0][name].equal(value) for name, value in all_metrics[1].items())
+
+
+def test_a_tensor_is_refused_where_the_policy_maximises_the_bonus_itself():
+    agent = small_agent(curiosity_discount=0.0)
+    before = copies(agent.parameters())
+    with pytest.raises(
+        ValueError, match=r"`bonus` must be a function where `curiosity_discount` is 0.*\(32,\)"
+    ):
+        agent.update(random_transition(), torch.zeros(32))
+    assert equal(agent.parameters(), before)
+
+
+def test_the_default_agent_is_that_of_its_configuration():
+    torch.manual_seed(1)
+    one = CuriousSAC(3, 2)
+    torch.manual_seed(1)
+    other = CuriousSAC.default(3, 2)
+    assert one.config == other.config == AgentConfig()
+    assert_same_state(one, other)
+
+
+def test_an_unknown_setting_of_the_agent_is_refused():
+    with pytest.raises(TypeError, match=r"`modes` is no setting here; there are hidden_dim, .*"):
+        CuriousSAC.default(3, 2, modes=2)
