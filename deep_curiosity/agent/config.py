@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 from deep_curiosity.configuration import Group, setting
 from deep_curiosity.schedules import Schedule
@@ -34,6 +34,11 @@ class ConditionedHunger:
 
     def __post_init__(self) -> None:
         """Reject what cannot be."""
+        if self.source not in get_args(HungerSource):
+            raise ValueError(
+                f"`hunger` must come from one of {', '.join(get_args(HungerSource))}, "
+                f"got {self.source!r}."
+            )
         if not 0 <= self.value <= 1:
             raise ValueError(f"`hunger` must lie in [0, 1] where conditioned, got {self.value}.")
 
@@ -51,12 +56,14 @@ class ConditionedHunger:
         if source in ("random", "bandit") and not detail:
             return cls(source)  # type: ignore[arg-type]  # one of the two
         try:
-            return cls("fixed", float(detail)) if source == "conditioned" else cls(text)  # type: ignore[arg-type]
+            if source == "conditioned":
+                return cls("fixed", float(detail))
         except ValueError:
-            raise ValueError(
-                "`hunger` must be a number, a schedule such as linear:1:10, random, bandit, "
-                f"battery, battery:ENTRY or conditioned:VALUE, got {text!r}."
-            ) from None
+            pass  # what is wrong is said below
+        raise ValueError(
+            "`hunger` must be a number, a schedule such as linear:1:10, random, bandit, battery, "
+            f"battery:ENTRY or conditioned:VALUE with a value in [0, 1], got {text!r}."
+        )
 
     def __str__(self) -> str:
         """As `parse` reads it."""
