@@ -308,7 +308,7 @@ class CuriosityBonus(Bonus):
             metrics["weight"] = self.standardization.weight * self.tuned_weight.factor
         return metrics | {
             "nats": upper.mean(),
-            "nats_std": self.standardization.moments.scale[0],
+            "nats_std": self.standardization.moments.scale[0].clone(),
             "predictive_power": parts.predictive_power.mean(),
             "information_gain": parts.information_gain.mean(),
             "conditional_entropy": entropy.mean(),
