@@ -3,20 +3,15 @@ import math
 import pytest
 import torch
 
-from deep_curiosity.bonuses.dynamics import Prediction
-from deep_curiosity.bonuses.decomposition import (
-    DIVERGENCE,
-    coefficients_of,
-    conditional_entropy,
-    information_gain,
-)
+from deep_curiosity.bonuses.decomposition import DIVERGENCE, coefficients_of, information_gain
+from deep_curiosity.gaussians import DiagonalMixture
 
 
-def predictions(*loc, std=1.0, outcomes=1):
+def predictions(*loc, std=1.0, components=1):
     """One pair; every member predicts its own places, with one width."""
-    places = torch.tensor(loc).view(len(loc), 1, outcomes, 1)
-    weight = torch.full(places.shape[:-1], -math.log(outcomes))
-    return Prediction(places, torch.full_like(places, 2 * math.log(std)), weight)
+    places = torch.tensor(loc).view(len(loc), 1, components, 1)
+    weight = torch.full(places.shape[:-1], -math.log(components))
+    return DiagonalMixture(places, torch.full_like(places, 2 * math.log(std)), weight)
 
 
 def test_nothing_named_is_the_divergence_and_so_are_both_its_pairs():
@@ -45,22 +40,22 @@ def test_parts_that_mean_nothing_are_rejected(parts, message):
         coefficients_of(parts)
 
 
-def test_entropy_of_outcomes_far_apart_is_one_bit_more():
-    wide = predictions((-50.0, 50.0), (0.0, 0.0), outcomes=2)
-    bits = (conditional_entropy(wide) - 0.5 * math.log(2 * math.pi * math.e)) / math.log(2)
+def test_entropy_of_components_far_apart_is_one_bit_more():
+    wide = predictions((-50.0, 50.0), (0.0, 0.0), components=2)
+    bits = (wide.entropy() - 0.5 * math.log(2 * math.pi * math.e)) / math.log(2)
     torch.testing.assert_close(bits, torch.tensor([[1.0], [0.0]]), atol=1e-5, rtol=0)
 
 
 def test_members_that_agree_gain_nothing():
     torch.testing.assert_close(information_gain(predictions(1.0, 1.0, 1.0)), torch.zeros(1))
-    alike = predictions((-3.0, 3.0), (-3.0, 3.0), outcomes=2)
+    alike = predictions((-3.0, 3.0), (-3.0, 3.0), components=2)
     torch.testing.assert_close(information_gain(alike), torch.zeros(1))
 
 
 def test_members_far_apart_gain_the_log_of_their_number():
     gain = information_gain(predictions(-90.0, 0.0, 90.0))
     torch.testing.assert_close(gain, torch.tensor([math.log(3)]))
-    apart = predictions((-90.0, -60.0), (60.0, 90.0), outcomes=2)
+    apart = predictions((-90.0, -60.0), (60.0, 90.0), components=2)
     torch.testing.assert_close(information_gain(apart), torch.tensor([math.log(2)]))
 
 

@@ -4,14 +4,20 @@ import pytest
 import torch
 from torch.distributions import Categorical, Independent, MixtureSameFamily, Normal
 
-from deep_curiosity.gaussians import kl_to_mixture_lower, kl_to_mixture_upper
 from deep_curiosity.bonuses.marginal import NextStateMarginal, silverman_log_bandwidth
+from deep_curiosity.gaussians import DiagonalMixture, kl_to_mixture_lower, kl_to_mixture_upper
 
 HOLES = 1e-3  # a bandwidth that fills none
 
 
 def log_var_of(std, *shape):
     return torch.full(shape, 2 * math.log(std))
+
+
+def gaussians(loc, log_var):
+    """A prediction of one component for each place."""
+    weight = torch.zeros(*loc.shape[:-1], 1, dtype=loc.dtype)
+    return DiagonalMixture(loc.unsqueeze(-2), log_var.unsqueeze(-2), weight)
 
 
 def numbered(start, stop):
@@ -33,7 +39,7 @@ def test_silverman_bandwidth_by_hand():
     assert math.exp(silverman_log_bandwidth(64, 2)) == pytest.approx(0.5)
 
 
-def test_components_are_widened_by_the_bandwidth_times_their_spread():
+def test_components_are_widened_by_the_bandwidth_times_their_deviation():
     marginal = NextStateMarginal(2, components=64)
     loc = torch.randn(64, 2) * torch.tensor([3.0, 0.1])
     marginal.refresh(loc, log_var_of(0.05, 64, 2))
@@ -53,7 +59,7 @@ def test_silverman_counts_only_the_components_that_are_filled():
     marginal = NextStateMarginal(1, components=100)
     loc = torch.randn(10, 1)
     marginal.refresh(loc, log_var_of(1e-6, 10, 1))
-    width = (0.5 * marginal.log_spread).exp() / loc.std(0, correction=0)
+    width = (0.5 * marginal.bandwidth_log_var).exp() / loc.std(0, correction=0)
     assert width.item() == pytest.approx(1.05922 * 10**-0.2, rel=1e-4)
 
 
@@ -77,10 +83,10 @@ def test_divergences_are_those_to_the_widened_mixture():
     loc, log_var = torch.randn(2, 5, 2)
     mixture = marginal.loc, marginal.component_log_var
     torch.testing.assert_close(
-        marginal.kl_upper(loc, log_var), kl_to_mixture_upper(loc, log_var, *mixture)
+        marginal.kl_upper(gaussians(loc, log_var)), kl_to_mixture_upper(loc, log_var, *mixture)
     )
     torch.testing.assert_close(
-        marginal.kl_lower(loc, log_var), kl_to_mixture_lower(loc, log_var, *mixture)
+        marginal.kl_lower(gaussians(loc, log_var)), kl_to_mixture_lower(loc, log_var, *mixture)
     )
 
 
@@ -91,9 +97,10 @@ def test_a_bandwidth_closes_the_holes_of_a_mixture_of_spikes():
     with_holes = NextStateMarginal(17, bandwidth=HOLES)
     for marginal in (with_bandwidth, with_holes):
         marginal.refresh(spikes, sharp)
-    assert with_bandwidth.kl_upper(elsewhere, sharp).mean() < 100
-    assert with_holes.kl_upper(elsewhere, sharp).mean() > 1_000
-    gap = with_bandwidth.kl_upper(elsewhere, sharp) - with_bandwidth.kl_lower(elsewhere, sharp)
+    prediction = gaussians(elsewhere, sharp)
+    assert with_bandwidth.kl_upper(prediction).mean() < 100
+    assert with_holes.kl_upper(prediction).mean() > 1_000
+    gap = with_bandwidth.kl_upper(prediction) - with_bandwidth.kl_lower(prediction)
     assert 0 <= gap.min() and gap.mean() < 2
 
 
@@ -151,7 +158,7 @@ def test_components_weigh_alike_and_sum_to_one():
 def test_one_prediction_alone_is_the_whole_marginal():
     marginal = NextStateMarginal(2, components=4)
     marginal.refresh(torch.ones(1, 2), torch.zeros(1, 2))
-    divergence = marginal.kl_upper(torch.ones(1, 2), torch.zeros(1, 2))
+    divergence = marginal.kl_upper(gaussians(torch.ones(1, 2), torch.zeros(1, 2)))
     assert divergence.item() == pytest.approx(0, abs=1e-6)
 
 
@@ -160,7 +167,7 @@ def test_a_feature_in_which_all_components_agree_gets_no_width():
     loc = torch.stack([torch.randn(8), torch.zeros(8)], dim=-1)
     marginal.refresh(loc, log_var_of(0.1, 8, 2))
     torch.testing.assert_close(marginal.component_log_var[:, 1], log_var_of(0.1, 8))
-    assert marginal.kl_upper(loc, log_var_of(0.1, 8, 2)).isfinite().all()
+    assert marginal.kl_upper(gaussians(loc, log_var_of(0.1, 8, 2))).isfinite().all()
 
 
 def test_it_is_empty_until_it_is_refreshed():
@@ -174,11 +181,11 @@ def test_all_state_is_in_the_state_dict():
     marginal, copy = (NextStateMarginal(1, components=8) for _ in range(2))
     marginal.refresh(*numbered(0, 11))
     copy.load_state_dict(marginal.state_dict())
-    probe = torch.randn(5, 1), torch.randn(5, 1)
-    assert copy.kl_upper(*probe).equal(marginal.kl_upper(*probe))
+    probe = gaussians(torch.randn(5, 1), torch.randn(5, 1))
+    assert copy.kl_upper(probe).equal(marginal.kl_upper(probe))
     for one in (marginal, copy):
         one.refresh(*numbered(11, 14))
-    assert copy.kl_upper(*probe).equal(marginal.kl_upper(*probe))
+    assert copy.kl_upper(probe).equal(marginal.kl_upper(probe))
     assert held(copy) == list(range(6, 14))
 
 
@@ -220,7 +227,7 @@ def test_a_target_that_is_not_read_is_not_checked():
     assert NextStateMarginal(2, components=4, target_perplexity=8.0).is_empty
 
 
-def linear_world(components, dim, signal, noise, **options):
+def linear_gaussian(components, dim, signal, noise, **options):
     """A marginal of `x' = x + noise`, and the information that `x` carries about `x'`."""
     marginal = NextStateMarginal(dim, components=components, **options)
     marginal.refresh(signal * torch.randn(components, dim), log_var_of(noise, components, dim))
@@ -232,15 +239,15 @@ def linear_world(components, dim, signal, noise, **options):
     [(200, 1, 0.1, 0.15), (200, 2, 0.3, 0.2), (8, 1, 0.3, 0.6)],
 )
 def test_information_lies_between_its_estimates_on_average(components, dim, noise, within):
-    worlds = [linear_world(components, dim, 1.0, noise) for _ in range(100)]
-    estimates = [world.information(torch.randn(4, components, dim)) for world, _ in worlds]
+    problems = [linear_gaussian(components, dim, 1.0, noise) for _ in range(100)]
+    estimates = [marginal.information(torch.randn(4, components, dim)) for marginal, _ in problems]
     lower, upper = (torch.stack(values).mean() for values in zip(*estimates, strict=True))
-    truth = worlds[0][1]
+    truth = problems[0][1]
     assert truth - within < lower < truth - 0.01 < truth + 0.01 < upper < truth + within
 
 
 def test_own_component_limits_the_lower_estimate_to_the_log_of_their_number():
-    marginal, truth = linear_world(64, 10, 1.0, 0.01)
+    marginal, truth = linear_gaussian(64, 10, 1.0, 0.01)
     lower, upper = marginal.information(torch.randn(2, 64, 10))
     assert lower.item() == pytest.approx(math.log(64), abs=1e-4) and lower < truth < upper
 
@@ -261,7 +268,7 @@ def test_information_is_that_of_the_components_that_are_filled():
     torch.testing.assert_close(part.information(noise), whole.information(noise[:, :20]))
 
 
-def test_one_component_has_nothing_to_be_told_from():
+def test_one_component_has_nothing_to_be_distinguished_from():
     marginal = NextStateMarginal(1, components=4)
     marginal.refresh(*numbered(0, 1))
     lower, upper = marginal.information(torch.randn(2, 4, 1))

@@ -10,27 +10,30 @@ def transition(state):
     return Transition(state, torch.zeros(len(state), 1), flag.float(), state, flag, flag)
 
 
-def ask(bonus, state):
+RAW = {"weight": 1.0, "center": False, "scale": False, "refresh_interval": 1}
+
+
+def compute(bonus, state):
     return bonus(state, torch.zeros(len(state), 1), state)
 
 
 def test_the_bonus_falls_with_the_root_of_the_count():
-    bonus = HashCountBonus(2, 1, weight=1.0)
+    bonus = HashCountBonus(2, 1, **RAW)
     state = torch.tensor([[0.3, -0.2]])
     bonus.observe(transition(torch.cat([state.expand(9, 2), torch.randn(50, 2) + 5])))
-    assert ask(bonus, state).item() == pytest.approx(1 / 3)
+    assert compute(bonus, state).item() == pytest.approx(1 / 3)
     bonus.observe(transition(state.expand(7, 2)))
-    assert ask(bonus, state).item() == pytest.approx(1 / 4)
+    assert compute(bonus, state).item() == pytest.approx(1 / 4)
 
 
-def test_what_was_never_seen_earns_one():
-    bonus = HashCountBonus(2, 1, weight=1.0)
+def test_a_state_that_was_never_observed_earns_one():
+    bonus = HashCountBonus(2, 1, **RAW)
     bonus.observe(transition(torch.randn(50, 2)))
-    assert ask(bonus, torch.tensor([[40.0, -60.0]])).item() == 1
+    assert compute(bonus, torch.tensor([[40.0, -60.0]])).item() == 1
 
 
 def test_a_state_keeps_its_code_while_statistics_go_on():
-    bonus = HashCountBonus(2, 1)
+    bonus = HashCountBonus(2, 1, **RAW)
     state = torch.randn(20, 2)
     bonus.observe(transition(state))
     before = bonus._slots(state)
@@ -38,18 +41,18 @@ def test_a_state_keeps_its_code_while_statistics_go_on():
     assert bonus._slots(state).equal(before)
 
 
-def test_states_on_one_ray_are_told_apart():
-    bonus = HashCountBonus(1, 1)
+def test_states_on_one_ray_have_different_codes():
+    bonus = HashCountBonus(1, 1, **RAW)
     bonus.observe(transition(torch.randn(50, 1)))
     near, far = bonus._slots(torch.tensor([[0.1], [2.0]])).unbind(1)
     assert not near.equal(far)
 
 
-def test_more_bits_tell_states_apart_more_finely():
+def test_more_bits_distinguish_states_more_finely():
     state = torch.randn(200, 2)
     numbers = []
     for bits in (2, 8, 32):
-        bonus = HashCountBonus(2, 1, bits=bits)
+        bonus = HashCountBonus(2, 1, bits=bits, **RAW)
         bonus.observe(transition(state))
         numbers.append(len(bonus._slots(state)[0].unique()))
     assert numbers[0] <= 4 < numbers[1] < numbers[2]

@@ -14,30 +14,29 @@ def update_statistics(bonus, state):
     )
 
 
-def ask(bonus, state):
+def compute(bonus, state):
     return bonus(state, torch.zeros(len(state), 1), state)
 
 
 def small(**options):
-    return NearestNeighboursBonus(
-        1, 1, weight=1.0, scale=False, **{"neighbours": 2, "memory": 4} | options
-    )
+    raw = {"weight": 1.0, "center": False, "scale": False, "refresh_interval": 1}
+    return NearestNeighboursBonus(1, 1, **raw | {"neighbours": 2, "memory": 4} | options)
 
 
 def test_the_bonus_is_the_log_of_the_mean_distance_to_the_nearest():
     bonus = small()
     update_statistics(bonus, torch.tensor([[0.0], [1.0], [5.0]]))
-    assert ask(bonus, torch.tensor([[2.0]])).item() == pytest.approx(math.log(1 + (1 + 2) / 2))
+    assert compute(bonus, torch.tensor([[2.0]])).item() == pytest.approx(math.log(1 + (1 + 2) / 2))
 
 
 def test_nothing_remembered_earns_nothing():
-    assert ask(small(), torch.randn(3, 1)).tolist() == [0, 0, 0]
+    assert compute(small(), torch.randn(3, 1)).tolist() == [0, 0, 0]
 
 
 def test_fewer_states_than_neighbours_are_enough():
     bonus = small(neighbours=3)
     update_statistics(bonus, torch.tensor([[1.0]]))
-    assert ask(bonus, torch.tensor([[4.0]])).item() == pytest.approx(math.log(1 + 3))
+    assert compute(bonus, torch.tensor([[4.0]])).item() == pytest.approx(math.log(1 + 3))
 
 
 def test_the_newest_take_the_place_of_the_oldest():
@@ -51,7 +50,9 @@ def test_distances_are_in_whitened_units():
     bonus = small(neighbours=1)
     update_statistics(bonus, torch.tensor([[0.0]]))
     bonus.observation_moments.update(torch.tensor([[-10.0], [10.0]]))
-    assert ask(bonus, torch.tensor([[20.0]])).item() == pytest.approx(math.log(1 + 2), abs=1e-4)
+    assert compute(bonus, torch.tensor([[20.0]])).item() == pytest.approx(
+        math.log(1 + 2), abs=1e-4
+    )
 
 
 def test_more_neighbours_than_memory_are_rejected():

@@ -3,6 +3,8 @@ import torch
 from deep_curiosity.bonuses.baselines import RNDBonus
 from deep_curiosity.transitions import Transition
 
+RAW = {"weight": 1.0, "center": False, "scale": False, "refresh_interval": 1}
+
 
 def transition(observation):
     flag = torch.zeros(len(observation), dtype=torch.bool)
@@ -11,7 +13,7 @@ def transition(observation):
 
 
 def test_the_bonus_is_the_mean_squared_error_over_features():
-    bonus = RNDBonus(3, 2, weight=1.0, scale=False, features=4, hidden_dims=(8,))
+    bonus = RNDBonus(3, 2, random_features=4, hidden_dims=(8,), **RAW)
     with torch.no_grad():
         for network, value in ((bonus.random, 0.0), (bonus.predictor, [1.0, 0, 2, 0])):
             network.layers[-1].weight.zero_()
@@ -21,19 +23,19 @@ def test_the_bonus_is_the_mean_squared_error_over_features():
 
 
 def test_the_random_network_is_never_learned():
-    bonus = RNDBonus(3, 2, features=4, hidden_dims=(8,))
+    bonus = RNDBonus(3, 2, random_features=4, hidden_dims=(8,))
     bonus.loss(transition(torch.randn(16, 3))).backward()
     assert all(parameter.grad is None for parameter in bonus.random.parameters())
 
 
-def test_what_was_seen_earns_less_than_what_was_not():
-    bonus = RNDBonus(3, 2, features=8, hidden_dims=(32,))
-    seen, new = torch.randn(256, 3), torch.randn(256, 3) + 3
-    bonus.observe(transition(seen))
+def test_states_that_were_learned_earn_less_than_new_ones():
+    bonus = RNDBonus(3, 2, random_features=8, hidden_dims=(32,), **RAW | {"scale": True})
+    known, new = torch.randn(256, 3), torch.randn(256, 3) + 3
+    bonus.observe(transition(known))
     optimizer = torch.optim.Adam(bonus.predictor.parameters(), lr=3e-3)
     for _ in range(300):
         optimizer.zero_grad()
-        bonus.loss(transition(seen)).backward()
+        bonus.loss(transition(known)).backward()
         optimizer.step()
     action = torch.zeros(256, 2)
-    assert bonus(new, action, new).mean() > 5 * bonus(seen, action, seen).mean()
+    assert bonus(new, action, new).mean() > 5 * bonus(known, action, known).mean()
