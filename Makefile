@@ -31,20 +31,14 @@ lint: setup  ## ruff and mypy
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/mypy scripts/*.py
 
-figures: setup  ## the studies behind the README, some hours on 2 cores
-	$(BIN)/python scripts/study.py --study sparse
-	$(BIN)/python scripts/study.py --study control
-	$(BIN)/python scripts/study.py --study mountain_car
-	$(BIN)/python scripts/study.py --study dense
-	$(BIN)/python scripts/study.py --study bonuses
-	$(BIN)/python scripts/study.py --study savings
-	$(BIN)/python scripts/study_stable_baselines3.py
-	$(BIN)/python scripts/study_torchrl.py
-	for dial in noise parts battery hunger alpha history default hopper \
-			"ends --seeds 10" horizon prior motors marginal \
-			"rate --tasks PendulumSwingup" "rate --tasks HalfCheetah-v5"; do \
-		$(BIN)/python scripts/dials.py --dial $$dial || exit 1; done
+figures: setup  ## run every study and write docs/study and docs/sweeps, some hours on 2 cores
+	for study in sparse control mountain_car dense bonuses subsampling \
+			stable_baselines3 torchrl clever_random reliable \
+			noise parts battery hunger alpha frame_stack default hopper ends horizon prior \
+			motors marginal "rate --tasks PendulumSwingup" "rate --tasks HalfCheetah-v5"; do \
+		$(BIN)/python scripts/study.py $$study || exit 1; done
 
 bench: setup  ## speed, floor, memory and growth into docs/benchmark, 10 minutes on an idle machine
 	$(BIN)/python scripts/benchmark.py

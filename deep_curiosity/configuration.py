@@ -138,17 +138,17 @@ def coerce(name: str, annotation: Any, value: Any) -> Any:
     for option in options:
         if _is_of(option, value):
             return value
-    problems = []
+    problems: list[str] = []
     for option in options:
         try:
             converted = _convert(option, value)
         except ValueError as error:  # text that this type cannot read; another may
-            problems.append(error)
+            problems.append(str(error))
             continue
         if converted is not None:
             return converted
     if problems:
-        raise ValueError(f"`{name}` cannot be read: {problems[-1]}")
+        raise ValueError(f"`{name}` cannot be read: {' '.join(problems)}")
     choices = [get_args(option) for option in options if get_origin(option) is Literal]
     if choices and isinstance(value, str):
         raise ValueError(f"`{name}` must be one of {_shown(options)}, got {value!r}.")

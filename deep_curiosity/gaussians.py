@@ -1,4 +1,4 @@
-"""Diagonal Gaussians and their mixtures: densities, draws, entropies and divergences, in nats.
+"""Diagonal Gaussians and their mixtures: densities, samples, entropies and divergences, in nats.
 
 Model, marginal, policy and action prior all speak `DiagonalMixture`; the rest are pure functions.
 
@@ -206,7 +206,7 @@ def kl_to_mixture_sampled(
         component_loc: Means of the mixture's components.
         component_log_var: Log variances of the mixture's components.
         component_log_weight: Log weights, normalised; equal when `None`.
-        samples: Points drawn from each Gaussian, `loc + exp(log_var / 2) * noise`.
+        samples: Points sampled from each Gaussian, `loc + exp(log_var / 2) * noise`.
 
     Returns:
         The unbiased estimate for each Gaussian.
@@ -267,7 +267,7 @@ def expected_log_density(
     """Expected log density `E_f[log w_j m_j]` of each Gaussian under each component, in nats.
 
     It is linear in the first two moments of the Gaussian: one matrix product for all pairs. The
-    product is taken in float64 unless told otherwise, because sharp components leave small
+    product is taken in float64 by default, because sharp components leave small
     differences of large squares; in float32 it is off by some 1e-3 nats at 17 dimensions where
     components have a standard deviation of 0.05, and by less where they are wider.
     """

@@ -60,7 +60,7 @@ def actor_loss(
         curiosity_value: Value of the bonus, for each sampled action; 0 without curiosity.
         temperature: Price of a nat, lambda.
         hunger: Weight of the reward's value, alpha; one for all, or one for each.
-        weight: Weight of each of the policy's components, where one action was drawn from each.
+        weight: Weight of each of the policy's components, where one action was sampled from each.
     """
     loss = temperature * information_cost - hunger * value - curiosity_value
     return (weight * loss).sum() / loss.shape[-1]

@@ -269,7 +269,7 @@ class ReplayBuffer:
             ) from error
         held = self.all()
         buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(self.capacity), batch_size=256)
-        following = {
+        next_step = {
             "observation": held.next_observation,
             "reward": held.reward.unsqueeze(-1),
             "terminated": held.terminated.unsqueeze(-1),
@@ -278,7 +278,7 @@ class ReplayBuffer:
         }
         buffer.extend(
             TensorDict(
-                {"observation": held.observation, "action": held.action, "next": following},
+                {"observation": held.observation, "action": held.action, "next": next_step},
                 batch_size=len(self),
             )
         )
@@ -296,15 +296,15 @@ class ReplayBuffer:
             seed: Seed of the generator that samples batches.
         """
         held = _oldest_first(buffer)
-        following = held["next"]
+        next_step = held["next"]
         rows = torch.cat(
             [
                 held["observation"],
                 held["action"],
-                following["reward"],
-                following["observation"],
-                following["terminated"].float(),
-                following["truncated"].float(),
+                next_step["reward"],
+                next_step["observation"],
+                next_step["terminated"].float(),
+                next_step["truncated"].float(),
             ],
             dim=-1,
         )

@@ -11,8 +11,8 @@ from torch import Tensor
 class Transition(NamedTuple):
     """A batch of environment steps, as the environment gave them.
 
-    The reward holds no bonus, `next_observation` is the true successor also where an episode was
-    cut off, and `terminated` (the episode ended for good: nothing to bootstrap) is kept apart from
+    The reward holds no bonus, `next_observation` is the true one also where an episode was cut
+    off, and `terminated` (the episode ended for good: nothing to bootstrap) is kept apart from
     `truncated` (a clock ended the episode: the value goes on).
     """
 

@@ -29,8 +29,8 @@ from torch.distributions import Normal
 from torch.nn.functional import softplus
 from torch.utils.tensorboard import SummaryWriter
 
-from deep_curiosity import CuriosityBonus, Transition  # + curiosity
-from deep_curiosity.bonuses.learner import BonusLearner  # + curiosity
+from deep_curiosity import CuriosityBonus, Transition  # + bonus
+from deep_curiosity.bonuses import BonusLearner  # + bonus
 
 LOG_STD_RANGE = (-5.0, 2.0)  # below -5 the density of tanh is sharper than float32 resolves
 
@@ -44,7 +44,7 @@ class Args:
     total_steps: int = 20_000
     """Environment steps."""
     seed: int = 0
-    """Of torch and of the environment."""
+    """Seeds torch and the environment."""
     out: Path = Path("runs/cleanrl_sac")
     """Folder for TensorBoard."""
 
@@ -57,7 +57,7 @@ class Args:
     hidden_dims: tuple[int, ...] = (64, 64)
     """Width of every hidden layer."""
     learning_rate: float = 1e-3
-    """Of Adam, for actor, critics and temperature."""
+    """Learning rate of Adam, for actor, critics and temperature."""
     discount: float = 0.99
     """Discount of the reward per step."""
     polyak: float = 0.02
@@ -79,7 +79,7 @@ class Batch(NamedTuple):
     action: Tensor  # batch action_dim, in [-1, 1]
     reward: Tensor  # batch
     next_observation: Tensor  # batch observation_dim, the true one also where an episode ended
-    terminated: Tensor  # batch, bool: the world ended, nothing to bootstrap
+    terminated: Tensor  # batch, bool: there is nothing to bootstrap
     truncated: Tensor  # batch, bool: a clock ended the episode, the value goes on
 
 
@@ -105,7 +105,7 @@ class Replay:
         self.num_added += 1
 
     def sample(self, batch_size: int) -> Batch:
-        """Draw transitions uniformly, with replacement."""
+        """Sample transitions uniformly, with replacement."""
         rows = torch.randint(min(self.num_added, self.capacity), (batch_size,))
         return Batch(*(field[rows] for field in self.held))
 
@@ -128,7 +128,7 @@ class Actor(nn.Module):
         log_slope = 2 * (math.log(2) - pre_action - softplus(-2 * pre_action))
         return pre_action.tanh(), (gaussian.log_prob(pre_action) - log_slope).sum(-1)
 
-    def draw(self, observation: Tensor) -> Tensor:
+    def sample(self, observation: Tensor) -> Tensor:
         """Fresh actions `(batch, action_dim)`."""
         action, _ = self(observation)
         return action
@@ -207,7 +207,7 @@ if __name__ == "__main__":
     actor_optimizer = torch.optim.Adam(actor.parameters(), args.learning_rate)
     critic_optimizer = torch.optim.Adam(critic.parameters(), args.learning_rate)
     temperature_optimizer = torch.optim.Adam([log_temperature], args.learning_rate)
-    bonus = BonusLearner(CuriosityBonus(*sizes, hidden_dims=args.hidden_dims))  # + curiosity
+    bonus = BonusLearner(CuriosityBonus.default(*sizes, hidden_dims=args.hidden_dims))  # + bonus
 
     start = time.perf_counter()
     observation, _ = environment.reset(seed=args.seed)
@@ -217,7 +217,7 @@ if __name__ == "__main__":
             action = 2 * torch.rand(sizes[1]) - 1
         else:
             with torch.no_grad():
-                action = actor.draw(to_tensor(observation))
+                action = actor.sample(to_tensor(observation))
         next_observation, reward, terminated, truncated, info = environment.step(action.numpy())
 
         # store what the environment gave, and nothing else
@@ -240,8 +240,8 @@ if __name__ == "__main__":
             continue
 
         batch = replay.sample(args.batch_size)
-        bonus.learn(Transition(*batch), actor.draw)  # + curiosity
-        batch = batch._replace(reward=batch.reward + bonus.compute(Transition(*batch)))  # + curiosity
+        bonus.learn(Transition(*batch), actor.sample)  # + bonus
+        batch = batch._replace(reward=batch.reward + bonus.compute(Transition(*batch)))  # + bonus
 
         # critic: towards reward and the soft value of the next state, if there is one
         temperature = log_temperature.exp().detach()

@@ -26,8 +26,8 @@ from gymnasium.wrappers import RecordEpisodeStatistics, RescaleAction
 from torch import Tensor, nn
 from torch.utils.tensorboard import SummaryWriter
 
-from deep_curiosity import CuriosityBonus, Transition  # + curiosity
-from deep_curiosity.bonuses.learner import BonusLearner  # + curiosity
+from deep_curiosity import CuriosityBonus, Transition  # + bonus
+from deep_curiosity.bonuses import BonusLearner  # + bonus
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Args:
     total_steps: int = 20_000
     """Environment steps."""
     seed: int = 0
-    """Of torch and of the environment."""
+    """Seeds torch and the environment."""
     out: Path = Path("runs/cleanrl_td3")
     """Folder for TensorBoard."""
 
@@ -52,7 +52,7 @@ class Args:
     hidden_dims: tuple[int, ...] = (64, 64)
     """Width of every hidden layer."""
     learning_rate: float = 1e-3
-    """Of Adam, for actor and critics."""
+    """Learning rate of Adam, for actor and critics."""
     discount: float = 0.99
     """Discount of the reward per step."""
     polyak: float = 0.02
@@ -79,7 +79,7 @@ class Batch(NamedTuple):
     action: Tensor  # batch action_dim, in [-1, 1]
     reward: Tensor  # batch
     next_observation: Tensor  # batch observation_dim, the true one also where an episode ended
-    terminated: Tensor  # batch, bool: the world ended, nothing to bootstrap
+    terminated: Tensor  # batch, bool: there is nothing to bootstrap
     truncated: Tensor  # batch, bool: a clock ended the episode, the value goes on
 
 
@@ -105,7 +105,7 @@ class Replay:
         self.num_added += 1
 
     def sample(self, batch_size: int) -> Batch:
-        """Draw transitions uniformly, with replacement."""
+        """Sample transitions uniformly, with replacement."""
         rows = torch.randint(min(self.num_added, self.capacity), (batch_size,))
         return Batch(*(field[rows] for field in self.held))
 
@@ -189,7 +189,7 @@ if __name__ == "__main__":
     target_actor, target_critic = copy.deepcopy((actor, critic))
     actor_optimizer = torch.optim.Adam(actor.parameters(), args.learning_rate)
     critic_optimizer = torch.optim.Adam(critic.parameters(), args.learning_rate)
-    bonus = BonusLearner(CuriosityBonus(*sizes, hidden_dims=args.hidden_dims))  # + curiosity
+    bonus = BonusLearner(CuriosityBonus.default(*sizes, hidden_dims=args.hidden_dims))  # + bonus
 
     def explore(observation: Tensor) -> Tensor:
         """Actions as they are carried out, with noise."""
@@ -227,8 +227,8 @@ if __name__ == "__main__":
             continue
 
         batch = replay.sample(args.batch_size)
-        bonus.learn(Transition(*batch), explore)  # + curiosity
-        batch = batch._replace(reward=batch.reward + bonus.compute(Transition(*batch)))  # + curiosity
+        bonus.learn(Transition(*batch), explore)  # + bonus
+        batch = batch._replace(reward=batch.reward + bonus.compute(Transition(*batch)))  # + bonus
 
         # critic: towards reward and the value of the next state, if there is one
         with torch.no_grad():

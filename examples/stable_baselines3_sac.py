@@ -15,7 +15,7 @@ from stable_baselines3 import SAC
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 
-from deep_curiosity.integrations import stable_baselines3 as curiosity  # + curiosity
+from deep_curiosity.integrations import stable_baselines3 as curiosity  # + bonus
 
 
 @dataclass(frozen=True)
@@ -27,7 +27,7 @@ class Args:
     total_steps: int = 20_000
     """Environment steps."""
     seed: int = 0
-    """Of the agent and of the environment."""
+    """Seeds the agent and the environment."""
     out: Path = Path("runs/stable_baselines3_sac")
     """Folder for TensorBoard and for the agent."""
 
@@ -38,7 +38,7 @@ class Args:
     hidden_dims: tuple[int, ...] = (64, 64)
     """Width of every hidden layer."""
     learning_rate: float = 1e-3
-    """Of Adam, for actor, critics and temperature."""
+    """Learning rate of Adam, for actor, critics and temperature."""
     discount: float = 0.99
     """Discount of the reward per step."""
     polyak: float = 0.02
@@ -62,15 +62,15 @@ if __name__ == "__main__":
         gamma=args.discount,
         ent_coef=f"auto_{args.temperature}",
         policy_kwargs={"net_arch": list(args.hidden_dims)},
-        replay_buffer_class=curiosity.CuriousReplayBuffer,  # + curiosity
-        replay_buffer_kwargs={"bonus_kwargs": {"hidden_dims": args.hidden_dims}},  # + curiosity
+        replay_buffer_class=curiosity.CuriousReplayBuffer,  # + bonus
+        replay_buffer_kwargs={"bonus_kwargs": {"hidden_dims": args.hidden_dims}},  # + bonus
         tensorboard_log=str(args.out),
         seed=args.seed,
         device="cpu",
     )
     agent.learn(
         args.total_steps,
-        callback=curiosity.CuriosityCallback(),  # + curiosity
+        callback=curiosity.CuriosityCallback(),  # + bonus
     )
     agent.save(args.out / "agent")
 

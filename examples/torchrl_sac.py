@@ -22,9 +22,9 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import MLP, ProbabilisticActor, TanhNormal, ValueOperator
 from torchrl.objectives import SACLoss, SoftUpdate
 
-from deep_curiosity import CuriosityBonus  # + curiosity
-from deep_curiosity.integrations.torchrl import CuriosityTransform  # + curiosity
-from deep_curiosity.bonuses.learner import BonusLearner  # + curiosity
+from deep_curiosity import CuriosityBonus  # + bonus
+from deep_curiosity.bonuses import BonusLearner  # + bonus
+from deep_curiosity.integrations.torchrl import CuriosityTransform  # + bonus
 
 
 @dataclass(frozen=True)
@@ -36,7 +36,7 @@ class Args:
     total_steps: int = 20_000
     """Environment steps."""
     seed: int = 0
-    """Of torch and of the environment."""
+    """Seeds torch and the environment."""
     out: Path = Path("runs/torchrl_sac")
     """Folder for TensorBoard."""
 
@@ -49,7 +49,7 @@ class Args:
     hidden_dims: tuple[int, ...] = (64, 64)
     """Width of every hidden layer."""
     learning_rate: float = 1e-3
-    """Of Adam, for actor, critics and temperature."""
+    """Learning rate of Adam, for actor, critics and temperature."""
     discount: float = 0.99
     """Discount of the reward per step."""
     polyak: float = 0.02
@@ -117,11 +117,11 @@ if __name__ == "__main__":
     )
 
     actor = make_actor(*sizes, args.hidden_dims)
-    bonus = BonusLearner(CuriosityBonus(*sizes, hidden_dims=args.hidden_dims))  # + curiosity
+    bonus = BonusLearner(CuriosityBonus.default(*sizes, hidden_dims=args.hidden_dims))  # + bonus
     replay = TensorDictReplayBuffer(
         storage=LazyTensorStorage(args.replay_capacity),
         batch_size=args.batch_size,
-        transform=CuriosityTransform(bonus, add_to_reward=True, policy=actor),  # + curiosity
+        transform=CuriosityTransform(bonus, add_to_reward=True, policy=actor),  # + bonus
     )
     loss = SACLoss(
         actor,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 
-MARK = "# + curiosity"
+MARK = "# + bonus"
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
 WHOLE_AGENTS = [path for path in EXAMPLES if path.stem.startswith("cleanrl")]
 NUM_STEPS = 500
@@ -23,7 +23,7 @@ every_whole_agent = pytest.mark.parametrize("path", WHOLE_AGENTS, ids=lambda pat
 
 
 class Repeat(gymnasium.Env):
-    """Reward 1 at every step; an episode is one step long, and ended as it is told."""
+    """Reward 1 at every step; an episode is one step long, which ends as `terminates` says."""
 
     observation_space = gymnasium.spaces.Box(-1, 1, (2,), np.float32)
     action_space = gymnasium.spaces.Box(-1, 1, (1,), np.float32)
@@ -33,12 +33,12 @@ class Repeat(gymnasium.Env):
 
     def reset(self, *, seed=None, options=None):
         super().reset(seed=seed)
-        return self.draw(), {}
+        return self.sample(), {}
 
     def step(self, action):
-        return self.draw(), 1.0, self.terminates, not self.terminates, {}
+        return self.sample(), 1.0, self.terminates, not self.terminates, {}
 
-    def draw(self):
+    def sample(self):
         return self.np_random.uniform(-1, 1, 2).astype(np.float32)
 
 
@@ -111,7 +111,8 @@ def test_replay_holds_what_the_environment_gave(path, play):
 @every_whole_agent
 def test_the_bonus_reaches_the_critic(path, play):
     text, short = path.read_text(), "--total-steps 100 --learning-starts 50"
-    indifferent = text.replace("+ bonus.ask(", "+ 0 * bonus.ask(")  # draws the same random numbers
+    indifferent = text.replace("+ bonus.compute(", "+ 0 * bonus.compute(")
+    assert indifferent != text  # and samples the same random numbers
     first, again, without = (
         play(version, short)["critic"].state_dict() for version in (text, text, indifferent)
     )

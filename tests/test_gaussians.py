@@ -29,15 +29,15 @@ BOUNDS = (kl_to_mixture_lower, kl_to_mixture_upper)
 def random_problem(seed, *, batch=4, components=5, dim=2, dtype=torch.float64):
     generator = torch.Generator().manual_seed(seed)
 
-    def randn(*shape):
+    def sample(*shape):
         return torch.randn(*shape, generator=generator, dtype=dtype)
 
-    log_weight = torch.log_softmax(randn(components), 0)
+    log_weight = torch.log_softmax(sample(components), 0)
     return (
-        randn(batch, dim),
-        randn(batch, dim),
-        randn(components, dim),
-        randn(components, dim),
+        sample(batch, dim),
+        sample(batch, dim),
+        sample(components, dim),
+        sample(components, dim),
         log_weight,
     )
 
@@ -224,7 +224,7 @@ def test_the_information_about_the_component_is_exact_at_both_ends(bound):
 
 
 @pytest.mark.parametrize("bound", [jensen_shannon_lower, jensen_shannon_upper])
-def test_the_information_about_the_component_is_of_each_row(bound):
+def test_the_information_about_the_component_is_of_each_place(bound):
     loc, log_var, weight = torch.randn(4, 5, 3, 2), torch.randn(4, 5, 3, 2), torch.randn(4, 5, 3)
     log_weight = weight.log_softmax(-1)
     actual = bound(loc, log_var, log_weight)
@@ -232,10 +232,6 @@ def test_the_information_about_the_component_is_of_each_row(bound):
         bound(loc[2, 3], log_var[2, 3], log_weight[2, 3]).item(), abs=1e-5
     )
     assert actual.shape == (4, 5) and (actual >= 0).all()
-
-
-def column(value):
-    return torch.tensor([[value]], dtype=torch.float64)
 
 
 def test_log_density_at_the_centre_of_a_unit_gaussian():
@@ -249,7 +245,7 @@ def test_gaussian_log_density_agrees_with_torch_distributions():
     torch.testing.assert_close(gaussian_log_prob(value, loc, log_std), expected)
 
 
-def test_log_prob_of_a_mixture_agrees_with_torch_distributions():
+def test_log_density_under_a_mixture_agrees_with_torch_distributions():
     value = torch.randn(6, 3, dtype=torch.float64) * 3
     loc, log_std = torch.randn(2, 4, 3, dtype=torch.float64)
     log_weight = torch.log_softmax(torch.randn(4, dtype=torch.float64), 0)
@@ -267,128 +263,85 @@ def test_a_mixture_far_from_its_components_stays_in_logs():
 
 
 def one_component(loc, log_std):
-    return DiagonalMixture(
-        loc.unsqueeze(-2), 2 * log_std.unsqueeze(-2), torch.zeros(len(loc), 1, dtype=loc.dtype)
-    )
+    log_weight = torch.zeros(len(loc), 1, dtype=loc.dtype)
+    return DiagonalMixture(loc.unsqueeze(-2), 2 * log_std.unsqueeze(-2), log_weight)
+
+
+def column(value):
+    return torch.tensor([[value]], dtype=torch.float64)
 
 
 @pytest.mark.parametrize(("loc", "log_std"), [(0.0, 0.0), (2.0, -1.0), (-1.0, 0.5)])
-def test_density_of_one_component_integrates_to_one(loc, log_std):
+def test_the_density_of_one_component_integrates_to_one(loc, log_std):
     mixture = one_component(column(loc), column(log_std))
     total, _ = integrate.quad(lambda u: mixture.log_prob(column(u)).exp().item(), -30, 30)
     assert total == pytest.approx(1, abs=1e-6)
 
 
-def test_samples_of_a_component_follow_the_noise():
+def test_samples_of_components_follow_the_noise():
     loc, log_std = torch.tensor([[1.0]]), torch.tensor([[math.log(3)]])
     mixture = one_component(loc.requires_grad_(), log_std.requires_grad_())
-    sample = mixture.component_samples(torch.tensor([[[2.0]]]))
-    assert sample.item() == pytest.approx(7)
-    sample.sum().backward()
+    point = mixture.component_samples(torch.tensor([[[2.0]]]))
+    assert point.item() == pytest.approx(7)
+    point.sum().backward()
     assert loc.grad.item() == 1 and log_std.grad.item() == pytest.approx(6)
 
 
-def two_components(weight, loc=(-2.0, 1.0), std=(0.5, 1.5), batch=1):
-    """A mixture of two over one dimension, the same at every place."""
-    mixture = DiagonalMixture(
-        torch.tensor(loc).view(1, 2, 1),
-        2 * torch.tensor(std).log().view(1, 2, 1),
+def two_components(weight, loc=(-2.0, 1.0), std=(0.5, 1.5)):
+    """A mixture of two over one coordinate, at one place."""
+    shape = (1, 2, 1)
+    return DiagonalMixture(
+        torch.tensor(loc).view(shape),
+        2 * torch.tensor(std).log().view(shape),
         torch.tensor([[1 - weight, weight]]).log(),
     )
-    return DiagonalMixture(*(field.expand(batch, *field.shape[1:]) for field in mixture))
 
 
-def test_log_prob_of_two_components_agrees_with_torch_distributions():
+def components_of(mixture):
+    """Its components, by torch's own distributions."""
+    return Normal(mixture.loc.flatten(), (0.5 * mixture.log_var).exp().flatten())
+
+
+def test_a_mixture_density_agrees_with_torch_distributions():
     mixture, value = two_components(0.3), torch.linspace(-5, 5, 21).unsqueeze(-1)
-    components = Normal(mixture.loc.flatten(), (0.5 * mixture.log_var).exp().flatten())
-    reference = MixtureSameFamily(Categorical(logits=mixture.log_weight.flatten()), components)
+    reference = MixtureSameFamily(
+        Categorical(logits=mixture.log_weight.flatten()), components_of(mixture)
+    )
     torch.testing.assert_close(mixture.log_prob(value), reference.log_prob(value.squeeze(-1)))
 
 
-def test_cdf_of_two_components_is_the_weighted_sum_of_theirs():
-    mixture, value = two_components(0.3), torch.linspace(-5, 5, 21).unsqueeze(-1)
-    components = Normal(torch.tensor([-2.0, 1.0]), torch.tensor([0.5, 1.5]))
-    expected = components.cdf(value) @ torch.tensor([0.7, 0.3])
-    torch.testing.assert_close(mixture.cdf(value).squeeze(-1), expected)
+def at_places(mixture, num_places):
+    """The same mixture at many places."""
+    return DiagonalMixture(*(part.expand(num_places, *part.shape[1:]) for part in mixture))
 
 
-def test_a_mixture_is_sampled_from_its_components_by_their_weights():
-    samples = two_components(0.3, batch=40_000).sample().squeeze(-1)
-    reference = two_components(0.3)
+def test_a_mixture_samples_from_its_components_by_their_weights():
+    samples = at_places(two_components(0.3), 40_000).sample().squeeze(-1)
     below = torch.tensor([-2.5, -1.0, 1.0, 2.0])
-    std = (0.5 * reference.log_var).exp().flatten()
-    cdf = Normal(reference.loc.flatten(), std).cdf(below[:, None])
+    cdf = components_of(two_components(0.3)).cdf(below[:, None])
     expected = cdf @ torch.tensor([0.7, 0.3])
     actual = (samples < below[:, None]).float().mean(-1)
     torch.testing.assert_close(actual, expected, atol=0.01, rtol=0)
 
 
-@pytest.mark.parametrize("leading", [(20_000,), (4, 5_000)])
-def test_indices_are_sampled_by_their_probability(leading):
+def test_the_cumulative_probability_of_a_mixture_agrees_with_torch_distributions():
+    mixture, value = two_components(0.3), torch.linspace(-5, 5, 21).unsqueeze(-1)
+    expected = components_of(mixture).cdf(value) @ torch.tensor([0.7, 0.3])
+    torch.testing.assert_close(mixture.cdf(value).squeeze(-1), expected)
+
+
+@pytest.mark.parametrize("places", [(20_000,), (100, 200)])
+def test_indices_are_sampled_by_their_probability(places):
     probability = torch.tensor([0.1, 0.6, 0.3])
-    index = sample_index(probability.log().expand(*leading, 3))
-    assert index.shape == leading
+    index = sample_index(probability.log().expand(*places, 3))
+    assert index.shape == places
     share = torch.bincount(index.flatten(), minlength=3) / 20_000
     torch.testing.assert_close(share, probability, atol=0.015, rtol=0.0)
 
 
 def test_expectations_component_by_component_are_those_of_the_mixture():
-    mixture = two_components(0.3, batch=50_000)
-    samples = mixture.component_samples(torch.randn_like(mixture.loc))  # places components dim
-    stratified = mixture.mean(mixture.log_prob(samples.transpose(0, 1)).mT).mean()
+    mixture = at_places(two_components(0.3), 50_000)
+    points = mixture.component_samples(torch.randn_like(mixture.loc)).transpose(0, 1)
+    stratified = mixture.mean(mixture.log_prob(points).mT).mean()
     sampled = mixture.log_prob(mixture.sample()).mean()
     assert stratified.item() == pytest.approx(sampled.item(), abs=0.02)
-
-
-def random_mixture(*shape):
-    """A mixture for each place of a batch, in float64."""
-    loc, log_var = torch.randn(2, *shape, dtype=torch.float64)
-    return DiagonalMixture(loc, log_var, torch.randn_like(loc[..., 0]).log_softmax(-1))
-
-
-def test_a_component_is_selected_for_each_place():
-    mixture, component = random_mixture(4, 3, 2), torch.tensor([2, 0, 1, 2])
-    loc, log_var = mixture.select(component)
-    for place, chosen in enumerate(component):
-        assert loc[place].equal(mixture.loc[place, chosen])
-        assert log_var[place].equal(mixture.log_var[place, chosen])
-
-
-def test_the_marginal_over_some_coordinates_is_exact():
-    mixture, value = random_mixture(3, 3), torch.randn(5, 3, dtype=torch.float64)
-    axis = torch.linspace(-12, 12, 2_001, dtype=torch.float64)
-    everywhere = value.unsqueeze(1).repeat(1, len(axis), 1)
-    everywhere[..., 1] = axis
-    integrated = torch.trapezoid(mixture.log_prob(everywhere).exp(), axis)
-    actual = mixture.coordinates([0, 2]).log_prob(value[:, [0, 2]])
-    torch.testing.assert_close(actual.exp(), integrated)
-
-
-def test_entropy_of_a_mixture_is_below_that_of_quadrature_and_of_one_component_exact():
-    axis = torch.linspace(-12, 12, 4_001).unsqueeze(-1)
-    mixture = two_components(0.3)
-    density = mixture.log_prob(axis).exp()
-    exact = torch.trapezoid(torch.special.entr(density), axis.squeeze(-1)).item()
-    assert exact - 0.2 < mixture.entropy().item() <= exact
-    alone = one_component(column(2.0), column(-1.0))
-    torch.testing.assert_close(alone.entropy(), gaussian_entropy(column(-2.0)))
-
-
-def test_divergence_of_two_mixtures_lies_between_its_bounds():
-    one, other = random_mixture(4, 3, 1), random_mixture(5, 1)
-    axis = torch.linspace(-20, 20, 8_001, dtype=torch.float64).unsqueeze(-1)
-    log_other = other.log_prob(axis)
-    for place in range(4):
-        own = DiagonalMixture(*(field[place] for field in one)).log_prob(axis)
-        truth = torch.trapezoid(own.exp() * (own - log_other), axis.squeeze(-1))
-        assert one.kl_lower(other)[place] - 1e-6 <= truth <= one.kl_upper(other)[place] + 1e-6
-
-
-@pytest.mark.parametrize("bound", BOUNDS)
-def test_divergence_of_a_mixture_of_one_is_that_of_its_component(bound):
-    loc, log_var, *problem = random_problem(9)
-    alone = DiagonalMixture(
-        loc.unsqueeze(-2), log_var.unsqueeze(-2), torch.zeros(4, 1, dtype=torch.float64)
-    )
-    method = alone.kl_upper if bound is kl_to_mixture_upper else alone.kl_lower
-    torch.testing.assert_close(method(DiagonalMixture(*problem)), bound(loc, log_var, *problem))

@@ -13,14 +13,15 @@ from deep_curiosity.losses import (
 )
 
 
-def one_step(batch):
-    return torch.ones(1, batch, dtype=torch.bool)
+def one_step_target(reward, terminated, next_value, discount):
+    """The target of a single step, whose axis is left out."""
+    alive = torch.ones(1, reward.shape[-1], dtype=torch.bool)
+    return n_step_target(reward.unsqueeze(-2), alive, terminated, next_value, discount)
 
 
 def test_target_bootstraps_except_where_the_episode_terminated():
-    target = n_step_target(
-        reward=torch.tensor([[1.0, 2.0]]),
-        alive=one_step(2),
+    target = one_step_target(
+        reward=torch.tensor([1.0, 2.0]),
         terminated=torch.tensor([False, True]),
         next_value=torch.tensor([10.0, 10.0]),
         discount=torch.tensor([0.9]),
@@ -29,18 +30,18 @@ def test_target_bootstraps_except_where_the_episode_terminated():
 
 
 def test_a_value_that_is_not_finite_does_not_leak_past_the_end():
-    ended, endless = torch.tensor([True]), torch.full((1,), math.inf)
-    target = n_step_target(torch.ones(1, 1), one_step(1), ended, endless, torch.tensor([0.9]))
+    ended = torch.tensor([True])
+    endless = torch.full((1,), math.inf)
+    target = one_step_target(torch.ones(1), ended, endless, torch.tensor([0.9]))
     assert target.item() == 1
     alive = torch.ones(2, 1, dtype=torch.bool)
     target = n_step_target(torch.ones(2, 1), alive, ended, endless, torch.tensor([0.5]))
     assert target.item() == 1.5
 
 
-def test_every_value_has_a_discount_of_its_own():
-    target = n_step_target(
-        reward=torch.tensor([[[1.0]], [[0.5]]]),
-        alive=one_step(1),
+def test_every_pair_has_a_discount_of_its_own():
+    target = one_step_target(
+        reward=torch.tensor([[1.0], [0.5]]),
         terminated=torch.tensor([False]),
         next_value=torch.tensor([[10.0], [10.0]]),
         discount=torch.tensor([[0.9], [0.5]]),
@@ -121,25 +122,24 @@ def test_several_steps_are_summed_as_far_as_a_sequence_lives():
     assert target.tolist() == [1 + 5 + 25 + 1, 1 + 5 + 2, 1]
 
 
-@pytest.mark.parametrize("ended", [False, True])
-def test_a_sequence_that_ends_at_its_first_step_has_the_one_step_target(ended):
-    reward, next_value = torch.randn(3, 5), torch.randn(5)
-    terminated, discount = torch.full((5,), ended), torch.tensor([0.9])
-    alive = torch.tensor([[True], [False], [False]]).expand(3, 5)
-    several = n_step_target(reward, alive, terminated, next_value, discount)
-    one = n_step_target(reward[:1], one_step(5), terminated, next_value, discount)
+def test_of_several_steps_of_which_one_is_alive_the_target_is_that_of_one_step():
+    reward, next_value = torch.randn(1, 5), torch.randn(5)
+    terminated = torch.tensor([True, False, True, False, False])
+    discount = torch.tensor([0.9])
+    alive = torch.tensor([[True] * 5, [False] * 5])
+    several = n_step_target(
+        torch.cat([reward, torch.full((1, 5), 100.0)]), alive, terminated, next_value, discount
+    )
+    one = one_step_target(reward[0], terminated, next_value, discount)
     torch.testing.assert_close(several, one)
-    torch.testing.assert_close(one, reward[0] + 0.9 * (not ended) * next_value)
+    expected = torch.where(terminated, reward[0], reward[0] + 0.9 * next_value)
+    torch.testing.assert_close(one, expected)
 
 
-def test_several_values_are_summed_as_each_alone():
-    reward, next_value = torch.randn(2, 3, 5), torch.randn(2, 5)
-    alive = (torch.rand(3, 5) < 0.7).cumprod(0).bool()
-    alive[0] = True
-    terminated, discount = torch.rand(2, 5) < 0.5, torch.tensor([[0.9], [0.3]])
-    both = n_step_target(reward, alive, terminated, next_value, discount)
-    for value in range(2):
-        alone = n_step_target(
-            reward[value], alive, terminated[value], next_value[value], discount[value]
-        )
-        torch.testing.assert_close(both[value], alone)
+def test_over_several_steps_every_value_has_its_own_discount_and_end():
+    reward = torch.ones(2, 2, 1)
+    terminated = torch.tensor([[True], [False]])
+    next_value, discount = torch.full((2, 1), 8.0), torch.tensor([[0.5], [0.25]])
+    alive = torch.ones(2, 1, dtype=torch.bool)
+    target = n_step_target(reward, alive, terminated, next_value, discount)
+    assert target.tolist() == [[1 + 0.5], [1 + 0.25 + 0.0625 * 8]]

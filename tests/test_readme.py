@@ -1,44 +1,94 @@
 import re
-from dataclasses import MISSING, fields, replace
+from itertools import chain
 from pathlib import Path
 
 import pytest
 import torch
 
-from deep_curiosity.training import Settings, train
+from deep_curiosity.bonuses.config import BONUS_CONFIGS
+from deep_curiosity.configuration import as_plain, flat
+from deep_curiosity.training import Config, train
+from deep_curiosity.training.command_line import COMMON
 from deep_curiosity.training.log import read_progress
 
-README = (Path(__file__).parents[1] / "README.md").read_text()
+ROOT = Path(__file__).parents[1]
+README = (ROOT / "README.md").read_text()
+OF_THE_COMMAND_LINE = {"resume": "None", "bonus": "curiosity", "preset": "fast"}
+OF_OTHER_COMMANDS = {
+    "help", "help-all",
+    "episodes", "video",  # of evaluate.py
+    "only", "repeats", "steps",  # of benchmark.py
+    "logdir",  # of tensorboard
+}  # fmt: skip
+OF_EPISODES = {"episode/return", "episode/length"}
 
 
-@pytest.mark.parametrize("setting", fields(Settings), ids=lambda setting: setting.name)
-def test_every_option_is_told_with_its_default(setting):
-    option = setting.name.replace("_", "-")
-    default = "" if setting.default is MISSING else f"`{setting.default}`"
-    assert f"| `--{option}` | {default} |" in README
+def flag(name):
+    return name.replace("_", "-")
 
 
-def test_no_option_is_told_that_does_not_exist():
-    told = re.findall(r"^\| `--([a-z-]+)` \|", README, flags=re.MULTILINE)
-    assert sorted(told) == sorted(setting.name.replace("_", "-") for setting in fields(Settings))
+def default_of(name):
+    if name in OF_THE_COMMAND_LINE:
+        return OF_THE_COMMAND_LINE[name]
+    value = as_plain(flat(Config())[name].value)
+    return "" if value in ({}, []) else value
 
 
-def test_every_logged_tag_is_told(tiny):
-    for number, env_id in enumerate(["PointMaze", "PendulumSwingup"]):
-        run = Settings(**vars(tiny) | {"env_id": env_id, "env_kwargs": {}, "prior": "learned"})
-        run = Settings(**vars(run) | {"out": tiny.out / str(number)})
-        train(run, show_progress=False)
-        for tag in list(read_progress(run.out)[0])[1:]:
-            assert f"`{tag}`" in README
+@pytest.mark.parametrize("name", [*COMMON, *OF_THE_COMMAND_LINE])
+def test_every_common_option_is_listed_with_its_default(name):
+    default = default_of(name)
+    shown = "" if default == "" else f"`{default}`"
+    assert f"| `--{flag(name)}` | {shown} |" in README
+
+
+def test_no_other_option_is_listed_and_the_order_is_that_of_the_help():
+    listed = re.findall(r"^\| `--([a-z-]+)` \|", README, flags=re.MULTILINE)
+    assert listed == [flag(name) for name in (*COMMON, *OF_THE_COMMAND_LINE)]
+
+
+def test_no_flag_is_named_that_does_not_exist():
+    settings = chain(*(flat(Config.of(bonus=kind)) for kind in BONUS_CONFIGS))
+    known = {flag(name) for name in (*settings, *OF_THE_COMMAND_LINE)} | OF_OTHER_COMMANDS
+    named = set(re.findall(r"--([a-z][a-z-]+)", README))
+    assert {name.removeprefix("no-") for name in named} <= known
+
+
+def test_every_logged_tag_is_explained_and_no_other(tiny):
+    pendulum = tiny.override(prior="learned", tune_bonus_weight="past")
+    runs = [
+        pendulum,
+        pendulum.override(env_id="PointMaze", env_kwargs={}),
+        tiny.override(bonus="rnd"),
+    ]
+    logged = set(OF_EPISODES)
+    for number, config in enumerate(runs):
+        config = config.override(out=tiny.run.out / str(number))
+        train(config, show_progress=False)
+        logged |= set(read_progress(config.run.out)[0]) - {"step"}
+    table = README.partition("| tag | formula |")[2].partition("\n\n")[0]
+    cells = [row.split(" | ")[0] for row in table.splitlines()[2:]]
+    assert {tag for cell in cells for tag in re.findall(r"`([^`]+)`", cell)} == logged
+
+
+def test_every_file_that_is_linked_is_there():
+    links = re.findall(r"\]\((?!https?:)([^)#]+)", README)
+    assert not [link for link in links if not (ROOT / link).exists()]
 
 
 def test_the_hunger_of_the_caller_is_followed_as_written(tiny):
     code = re.search(r"```python\n(from deep_curiosity.training import.*?)```", README, re.S)
-    written = code.group(1).replace("Settings(env_id", "settings_of(env_id")
-    names = {"settings_of": lambda **chosen: replace(tiny, env_kwargs={}, **chosen)}
-    exec(written, names)
-    hungers = [float(row["agent/hunger"]) for row in read_progress(tiny.out)]
+    written = code.group(1).replace("Config.of(", "tiny.override(env_kwargs={}, ")
+    exec(written, {"tiny": tiny})
+    hungers = [float(row["agent/hunger"]) for row in read_progress(tiny.run.out)]
     assert 0 < hungers[0] < hungers[1] < 1  # the battery drains
+
+
+def test_several_environments_are_made_as_written():
+    code = re.search(r"```python\n(import gymnasium\n.*?)```", README, re.S)
+    names = {}
+    exec(code.group(1), names)
+    assert names["envs"].num_envs == 64
+    names["envs"].close()
 
 
 def test_the_five_lines_run_as_written():

@@ -312,7 +312,7 @@ def test_several_of_unequal_number_are_refused():
         ReplayBuffer(8, 3, 2).extend(*values[:2], values[2][:3], *values[3:])
 
 
-def test_evenly_spaced_transitions_are_the_same_at_every_call():
+def test_what_is_evenly_spaced_over_replay_is_the_same_at_every_call():
     replay = filled(6)
     generator = replay.state_dict()["generator"]
     assert numbers(replay.evenly_spaced(3)) == [0, 2, 4]
@@ -342,17 +342,17 @@ def test_the_weight_of_a_step_halves_with_every_half_life(count):
     torch.testing.assert_close(age, expected / expected.sum(), atol=0.01, rtol=0)
 
 
-def test_a_half_life_beyond_all_steps_samples_them_alike():
+def test_a_half_life_beyond_all_steps_draws_them_alike():
     sampled = filled(4).sample_fading(40_000, half_life=10_000_000).observation[:, 0]
     assert (torch.bincount(sampled.long()) / 40_000 - 0.25).abs().max() < 0.01
 
 
-@pytest.mark.parametrize(("kind", "name"), [("newest", "window"), ("fading", "half_life")])
-def test_a_horizon_below_one_and_an_empty_replay_are_rejected(kind, name):
+@pytest.mark.parametrize(("which", "name"), [("newest", "window"), ("fading", "half_life")])
+def test_a_horizon_below_one_and_an_empty_replay_are_rejected(which, name):
     with pytest.raises(ValueError, match=f"`{name}` must be at least 1, got 0"):
-        getattr(filled(3), f"sample_{kind}")(2, **{name: 0})
+        getattr(filled(3), f"sample_{which}")(2, **{name: 0})
     with pytest.raises(ValueError, match="must hold a transition before it is sampled"):
-        getattr(filled(0), f"sample_{kind}")(2, **{name: 5})
+        getattr(filled(0), f"sample_{which}")(2, **{name: 5})
 
 
 def test_sequences_hold_what_followed_until_the_episode_ends():

@@ -29,8 +29,8 @@ def action_information(
     `log N`, and is left out of it, with `N - 1` for `N`, in the upper.
 
     Args:
-        policy: At states drawn as the agent meets them.
-        pre_action: One draw of each.
+        policy: At states sampled as the agent meets them.
+        pre_action: One sample of each.
 
     Raises:
         ValueError: If there are fewer than two states.

@@ -18,7 +18,7 @@ class ConditionedHunger:
     `battery:entry`.
 
     Args:
-        source: Who chooses it while the agent acts: it is `"fixed"`; `"random"`, drawn for each
+        source: Who chooses it while the agent acts: it is `"fixed"`; `"random"`, sampled for each
             episode; chosen by a `"bandit"` for what it earns; or read off a `"battery"`.
         value: The fixed hunger, and the one of the agent before anyone has chosen, in [0, 1].
         entry: Entry of the observation, or of `info` by its name, that holds the charge of the
@@ -36,8 +36,7 @@ class ConditionedHunger:
         """Reject what cannot be."""
         if self.source not in get_args(HungerSource):
             raise ValueError(
-                f"`hunger` must come from one of {', '.join(get_args(HungerSource))}, "
-                f"got {self.source!r}."
+                f"`source` must be one of {get_args(HungerSource)}, got {self.source!r}."
             )
         if not 0 <= self.value <= 1:
             raise ValueError(f"`hunger` must lie in [0, 1] where conditioned, got {self.value}.")
@@ -47,23 +46,24 @@ class ConditionedHunger:
         """Read what `str` wrote.
 
         Raises:
-            ValueError: If the text is none of the forms.
+            ValueError: If the text is none of the forms, or the value outside [0, 1].
         """
         source, _, detail = text.partition(":")
         if source == "battery":
-            number = detail.lstrip("-").isdigit()
-            return cls("battery", entry=int(detail) if number else detail or -1)
-        if source in ("random", "bandit") and not detail:
-            return cls(source)  # type: ignore[arg-type]  # one of the two
+            is_number = detail.removeprefix("-").isdecimal()
+            return cls("battery", entry=int(detail) if is_number else detail or -1)
+        if text in ("random", "bandit"):
+            return cls(text)  # type: ignore[arg-type]  # one of the two
         try:
-            if source == "conditioned":
-                return cls("fixed", float(detail))
+            value = float(detail) if source == "conditioned" else None
         except ValueError:
-            pass  # what is wrong is said below
-        raise ValueError(
-            "`hunger` must be a number, a schedule such as linear:1:10, random, bandit, battery, "
-            f"battery:ENTRY or conditioned:VALUE with a value in [0, 1], got {text!r}."
-        )
+            value = None
+        if value is None:
+            raise ValueError(
+                "`hunger` must be a number, a schedule such as linear:1:10, random, bandit, "
+                f"battery, battery:ENTRY or conditioned:VALUE, got {text!r}."
+            )
+        return cls("fixed", value)
 
     def __str__(self) -> str:
         """As `parse` reads it."""
@@ -145,7 +145,7 @@ class AgentConfig(Group):
     def __post_init__(self) -> None:
         """Refuse what cannot be, or would do nothing."""
         super().__post_init__()
-        if not (1 / self.actor_batch_fraction).is_integer():
+        if not math.isclose(1 / self.actor_stride, self.actor_batch_fraction):
             raise ValueError(
                 "`actor_batch_fraction` must be one over a whole number, "
                 f"got {self.actor_batch_fraction}."

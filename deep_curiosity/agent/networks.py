@@ -240,7 +240,7 @@ class LearnedPrior(Prior):
         """Divergence of the marginal from the uniform density, in nats: how habitual the agent is.
 
         Args:
-            noise: Standard normal draws, used once for every component and for the uniform share.
+            noise: Standard normal samples, used for every component and for the uniform share.
         """
         habit = self.habit
         habitual = habit.component_samples(noise.unsqueeze(1)).transpose(0, 1)
@@ -254,7 +254,7 @@ class LearnedPrior(Prior):
 
     @torch.no_grad()
     def metrics(self) -> dict[str, Tensor]:
-        """How far the prior is from uniform, in nats, always over the same draws."""
+        """How far the prior is from uniform, in nats, always over the same samples."""
         generator = torch.Generator().manual_seed(0)  # leaves the global stream where it is
         noise = torch.randn(NUM_PRIOR_SAMPLES, self.loc.shape[1], generator=generator)
         return {"prior_kl_to_uniform": self.kl_to_uniform(noise.to(self.loc))}

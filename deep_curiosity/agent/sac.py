@@ -25,10 +25,11 @@ from deep_curiosity.schedules import Schedule
 from deep_curiosity.transitions import Sequences, Transition, as_sequences, check_batch
 
 STD_DECAY = 0.99  # of the running standard deviations of the values, for each update
+ADAPTIVE = -1.0  # in the place of a fixed coefficient, which is never negative
 PARITY_FLOOR = 1e-3  # of their ratio: a conditioned agent lifts curiosity by at most a thousand
 
 BonusFunction = Callable[..., Tensor]
-"""A bonus as the agent sees it: of observations, actions and, if known, next observations."""
+"""A bonus as the agent calls it: of observations, actions and, if known, next observations."""
 Hunger = Float[Tensor, ""] | Float[Tensor, " batch"]  # one for all, or one for each
 
 
@@ -90,55 +91,52 @@ class CuriousSAC(nn.Module):
         self.is_conditioned = config.is_conditioned
         self.tunes_temperature = config.tunes_temperature
         self.actor_stride = config.actor_stride
+        self.polyak = config.polyak
         self.num_steps = config.reward.reward_steps, config.curiosity.steps
         """Steps that are summed in the target of each value."""
         self.has_curiosity_critic = curiosity and config.curiosity.discount > 0
         """Whether the bonus is a reward of its own, computed once, and never maximised itself."""
-
         discounts = [config.reward.discount, config.curiosity.discount]
         discounts = discounts if self.has_curiosity_critic else discounts[:1]
-        input_dim = observation_dim + int(self.is_conditioned)
-        hidden_dims = (config.hidden_dim, config.hidden_dim)
-        self.policy = GaussianPolicy(
-            input_dim,
-            action_dim,
-            mixture_components=config.mixture_components,
-            hidden_dims=hidden_dims,
-        )
-        self.critics = Critics(
-            input_dim, action_dim, pairs=len(discounts), hidden_dims=hidden_dims
-        )
-        self.target_critics = deepcopy(self.critics).requires_grad_(False)
-        self.prior = PRIORS[config.prior](action_dim)
-        self.soft_backup = (
-            self.prior.soft_backup
-            if config.reward.soft_backup is None
-            else config.reward.soft_backup
-        )
-        rate = config.target_information_rate
-        self.target_information_rate = (
-            self.prior.default_rate * action_dim if rate is None else rate
-        )
-        self.log_temperature = nn.Parameter(
-            torch.zeros(()), requires_grad=config.tunes_temperature
-        )
-        coefficient = config.curiosity.coefficient
-        fixed = math.nan if coefficient == "adaptive" else coefficient
-        self.register_buffer("_hunger", torch.tensor(_first_hunger(config)))
-        self.register_buffer("_fixed_coefficient", torch.tensor(fixed))
-        self.register_buffer("discounts", torch.tensor(discounts).unsqueeze(-1))  # pairs 1
-        self.register_buffer("value_stds", torch.zeros(len(discounts)))  # over replay
-        self.temperature = (
-            config.temperature(0.0)
-            if isinstance(config.temperature, Schedule)
-            else config.temperature
-        )
+        self._make_networks(pairs=len(discounts))
+        soft_backup, rate = config.reward.soft_backup, config.target_information_rate
+        self.soft_backup = self.prior.soft_backup if soft_backup is None else soft_backup
+        default_rate = self.prior.default_rate * action_dim
+        self.target_information_rate = default_rate if rate is None else rate
+        self._register_state(discounts)
         self.optimizers = nn.ModuleDict(  # type: ignore[assignment]  # of Adams
             {
                 name: Adam(parameters, config.learning_rate)
                 for name, parameters in self._trained_parameters().items()
             }
         )
+
+    def _make_networks(self, pairs: int) -> None:
+        """Make policy, critics, the slow copy of these, and the action prior."""
+        config, input_dim = self.config, self.observation_dim + int(self.is_conditioned)
+        hidden_dims = (config.hidden_dim, config.hidden_dim)
+        self.policy = GaussianPolicy(
+            input_dim,
+            self.action_dim,
+            mixture_components=config.mixture_components,
+            hidden_dims=hidden_dims,
+        )
+        self.critics = Critics(input_dim, self.action_dim, pairs=pairs, hidden_dims=hidden_dims)
+        self.target_critics = deepcopy(self.critics).requires_grad_(False)
+        self.prior = PRIORS[config.prior](self.action_dim)
+
+    def _register_state(self, discounts: list[float]) -> None:
+        """Make what changes while the agent lives, so that a compiled update follows it."""
+        config = self.config
+        coefficient = config.curiosity.coefficient
+        fixed = ADAPTIVE if coefficient == "adaptive" else coefficient
+        self.log_temperature = nn.Parameter(torch.zeros(()), requires_grad=self.tunes_temperature)
+        self.register_buffer("_hunger", torch.tensor(_first_hunger(config)))
+        self.register_buffer("_fixed_coefficient", torch.tensor(fixed))
+        self.register_buffer("discounts", torch.tensor(discounts).unsqueeze(-1))  # pairs 1
+        self.register_buffer("value_stds", torch.zeros(len(discounts)))  # over replay
+        first = config.temperature
+        self.temperature = first(0.0) if isinstance(first, Schedule) else first
 
     @classmethod
     def default(
@@ -200,7 +198,7 @@ class CuriousSAC(nn.Module):
         observation: Float[Tensor, "batch observation_dim"],
         hunger: Tensor | None = None,
     ) -> Float[Tensor, "batch policy_input_dim"]:
-        """What policy and critics are given: the observation, and behind it the hunger if asked.
+        """Input of policy and critics: the observation, and behind it the hunger if conditioned.
 
         Args:
             observation: As the environment gave it.
@@ -272,7 +270,7 @@ class CuriousSAC(nn.Module):
             torch._foreach_lerp_(
                 list(self.target_critics.parameters()),
                 list(self.critics.parameters()),
-                self.config.polyak,
+                self.polyak,
             )
         return metrics
 
@@ -450,7 +448,7 @@ class CuriousSAC(nn.Module):
             adaptive = (1 - hunger) / ratio.clamp(PARITY_FLOOR, 1.0)
         else:
             adaptive = ratio.clamp(max=1.0)
-        return torch.where(self._fixed_coefficient.isnan(), adaptive, self._fixed_coefficient)
+        return torch.where(self._fixed_coefficient < 0, adaptive, self._fixed_coefficient)
 
     def _update_prior(self, sample: PolicySample) -> dict[str, Tensor]:
         """Fit a learned prior to what the policy does."""

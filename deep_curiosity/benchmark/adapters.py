@@ -23,12 +23,12 @@ from torchrl.modules import (
 )
 from torchrl.objectives import SACLoss, SoftUpdate
 
-from deep_curiosity.integrations.stable_baselines3 import CuriousReplayBuffer
-from deep_curiosity.integrations.torchrl import CuriosityTransform
 from deep_curiosity.benchmark.agents import ACTION_DIM, OBSERVATION_DIM, Row
 from deep_curiosity.benchmark.costs import alternate
-from deep_curiosity.bonuses.learner import BonusLearner
 from deep_curiosity.bonuses.curiosity import CuriosityBonus
+from deep_curiosity.bonuses.learner import BonusLearner
+from deep_curiosity.integrations.stable_baselines3 import CuriousReplayBuffer
+from deep_curiosity.integrations.torchrl import CuriosityTransform
 from deep_curiosity.transitions import Transition
 
 BATCH_SIZE = 256
@@ -38,28 +38,28 @@ Calls = Mapping[str, Callable[[], Any]]
 
 
 def measure_adapters(env_id: str, *, repeats: int, calls: int) -> list[Row]:
-    """Milliseconds of a sample through each adapter, and of its parts without it, call by call.
+    """Milliseconds of a sample through each adapter, and of the same without it, call by call.
 
     Args:
         env_id: Task with the sizes of the benchmark.
-        repeats: Turns of each adapter.
-        calls: Of every part in a turn.
+        repeats: Rounds of measurement.
+        calls: Calls of each adapter's every function in a round.
 
     Returns:
         Rows with `curious_ms`, a sample that carries the bonus; `plain_ms`, the library's own
-        sample; `direct_ms`, the bonus learning and answering on a batch at hand; and `step_ms`, a
+        sample; `direct_ms`, the bonus trained and computed on a batch at hand; and `step_ms`, a
         whole training step with its curious sample.
     """
     adapters = {"Stable-Baselines3": stable_baselines(env_id), "torchrl": torchrl(env_id)}
     return [
-        {"adapter": name, "repeat": repeat} | alternate(parts, calls)
+        {"adapter": name, "repeat": repeat} | alternate(functions, calls)
         for repeat in range(repeats)
-        for name, parts in adapters.items()
+        for name, functions in adapters.items()
     ]
 
 
 def stable_baselines(env_id: str) -> Calls:
-    """Parts of a training step of Stable-Baselines3's soft actor-critic."""
+    """What is timed of a training step of Stable-Baselines3's soft actor-critic."""
     environment = gymnasium.make(env_id)
     agent = SAC(
         "MlpPolicy",
@@ -84,7 +84,7 @@ def stable_baselines(env_id: str) -> Calls:
 
 
 def torchrl(env_id: str) -> Calls:
-    """Parts of a training step of torchrl's soft actor-critic."""
+    """What is timed of a training step of torchrl's soft actor-critic."""
     environment = TransformedEnv(GymEnv(env_id), DoubleToFloat())
     torch.manual_seed(0)
     held = environment.rollout(NUM_STEPS, break_when_any_done=False)
@@ -144,19 +144,19 @@ def replay_of(held: TensorDictBase) -> TensorDictReplayBuffer:
 
 
 def curiosity() -> CuriosityBonus:
-    """The bonus in the sizes of the benchmark, with the default's savings."""
-    return CuriosityBonus(OBSERVATION_DIM, ACTION_DIM, member_per_row=True)
+    """The default bonus in the sizes of the benchmark."""
+    return CuriosityBonus.default(OBSERVATION_DIM, ACTION_DIM)
 
 
 def directly(transition: Transition) -> Callable[[], Tensor]:
-    """The bonus in a loop of one's own: learn from a batch at hand, and be asked."""
+    """The bonus in a loop of one's own: trained and computed on a batch at hand."""
     learner = BonusLearner(curiosity())
 
-    def call() -> Tensor:
+    def compute() -> Tensor:
         learner.learn(transition)
         return learner.compute(transition)
 
-    return call
+    return compute
 
 
 def plain_copy(curious: ReplayBuffer) -> ReplayBuffer:

@@ -3,7 +3,6 @@
 import json
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,63 +14,65 @@ from torch import nn
 from torch.profiler import ProfilerActivity, profile
 
 from deep_curiosity.benchmark.agents import ACTION_DIM, OBSERVATION_DIM, Row
-from deep_curiosity.speed.compile import compiled
 from deep_curiosity.bonuses.curiosity import CuriosityBonus
 from deep_curiosity.replay import ReplayBuffer
-from deep_curiosity.training.collector import EnvironmentSteps
-from deep_curiosity.training.learner import Learner
+from deep_curiosity.speed.compile import compiled
 from deep_curiosity.speed.machine import wait_for
-from deep_curiosity.training.config import Settings
+from deep_curiosity.training.collector import Step
+from deep_curiosity.training.config import Config
+from deep_curiosity.training.learner import Learner
 from deep_curiosity.transitions import Transition
 
 GROWTH: dict[str, tuple[int, ...]] = {
     "observation_dim": (4, 17, 105, 376),
     "batch_size": (64, 128, 256, 512, 1024),
-    "members": (2, 3, 5, 7, 10),
+    "num_members": (2, 3, 5, 7, 10),
     "components": (64, 128, 256, 512, 1024, 2048),
 }
 """Sizes that grow one at a time, the others as by default."""
-NUM_PAIRS = 256  # of which the bonus is asked
+NUM_PAIRS = 256  # whose bonus is computed
 NUM_COMPONENTS = 256  # where the bonus is compiled as well
 NUM_TRANSITIONS = 1_000  # in replay
 SETTLING_CALLS = 5  # until compiled code and memory are as they stay
 
 
 def measure_growth(
-    settings: Settings,
+    config: Config,
     growth: Mapping[str, tuple[int, ...]] = GROWTH,
     *,
     repeats: int,
     updates: int,
 ) -> list[Row]:
-    """Milliseconds of an update at every size, in turns.
+    """Milliseconds of an update at every size, measured alternately.
 
     Args:
-        settings: Of the agent.
+        config: Settings of the agent.
         growth: Values of each size; `observation_dim`, or a setting.
-        repeats: Turns of each.
-        updates: In a turn; a multiple of the interval at which the marginal is renewed.
+        repeats: Rounds of measurement.
+        updates: Updates in a round; best a multiple of the interval at which the marginal is
+            renewed.
     """
     learners = [
-        ({"size": size, "value": value}, _learner(settings, size, value))
+        ({"size": size, "value": value}, _make_learner(config, size, value))
         for size, values in growth.items()
         for value in values
     ]
-    return _updates_in_turns(learners, repeats, updates)
+    return _time_updates(learners, repeats, updates)
 
 
 def measure_devices(
-    settings: Settings, batch_sizes: tuple[int, ...], *, repeats: int, updates: int
+    config: Config, batch_sizes: tuple[int, ...], *, repeats: int, updates: int
 ) -> list[Row]:
     """Milliseconds of an update at every batch on a GPU, eager and compiled, and on the CPU.
 
     Args:
-        settings: Of the agent.
+        config: Settings of the agent.
         batch_sizes: How many transitions an update takes.
-        repeats: Turns of each.
-        updates: In a turn; a multiple of the interval at which the marginal is renewed.
+        repeats: Rounds of measurement.
+        updates: Updates in a round; best a multiple of the interval at which the marginal is
+            renewed.
     """
-    places: dict[str, dict[str, Any]] = {
+    devices: dict[str, dict[str, Any]] = {
         "GPU, compiled": {"device": "cuda", "compile": "on"},
         "GPU, eager": {"device": "cuda", "compile": "off"},
         "CPU, eager": {"device": "cpu", "compile": "off"},
@@ -79,36 +80,36 @@ def measure_devices(
     learners = [
         (
             {"where": where, "batch_size": batch_size},
-            _learner(replace(settings, **place), "batch_size", batch_size),
+            _make_learner(config.override(**speed), "batch_size", batch_size),
         )
-        for where, place in places.items()
+        for where, speed in devices.items()
         for batch_size in batch_sizes
     ]
-    return _updates_in_turns(learners, repeats, updates)
+    return _time_updates(learners, repeats, updates)
 
 
-def _updates_in_turns(
+def _time_updates(
     learners: Sequence[tuple[Row, Learner]], repeats: int, updates: int
 ) -> list[Row]:
-    """A row for every turn of every learner, below what it is labelled with."""
+    """A row for every learner in every round, beside what it is labelled with."""
     return [
         label
         | {
             "repeat": repeat,
-            "update_ms": 1e3 * seconds_per_call(learner.update, updates, learner.settings.device),
+            "update_ms": 1e3
+            * seconds_per_call(learner.update, updates, learner.config.speed.device),
         }
         for repeat in range(repeats)
         for label, learner in learners
     ]
 
 
-def _learner(settings: Settings, size: str, value: int) -> Learner:
+def _make_learner(config: Config, size: str, value: int) -> Learner:
     """A learner of that size, after its first updates."""
     setting: dict[str, Any] = {size: value}
     observation_dim = setting.pop("observation_dim", OBSERVATION_DIM)
-    settings = replace(settings, **setting)
-    learner = Learner(settings, observation_dim, ACTION_DIM)
-    learner.store(random_steps(NUM_TRANSITIONS, observation_dim))
+    learner = Learner(config.override(**setting), observation_dim, ACTION_DIM)
+    learner.replay.extend(*random_steps(NUM_TRANSITIONS, observation_dim))
     seconds_per_call(learner.update, SETTLING_CALLS)
     return learner
 
@@ -116,14 +117,14 @@ def _learner(settings: Settings, size: str, value: int) -> Learner:
 def measure_bonus(
     components: tuple[int, ...] = GROWTH["components"], *, repeats: int, calls: int
 ) -> list[Row]:
-    """Milliseconds of the ensemble alone, the full bonus, and one model a pair, call by call.
+    """Milliseconds of the ensemble alone, and of the bonus by all models or one model a pair.
 
     Memory is the most that the tensors of the full bonus take at a time.
 
     Args:
         components: Sizes of the marginal, eager; compiled only the default.
-        repeats: Turns of each.
-        calls: In a turn.
+        repeats: Rounds of measurement.
+        calls: Calls in a round.
     """
     transition = random_batch(NUM_PAIRS)
     cells = [("eager", number) for number in components] + [("compiled", NUM_COMPONENTS)]
@@ -146,23 +147,23 @@ def _bonus_calls(
     transition: Transition, how: str, components: int
 ) -> dict[str, Callable[[], Any]]:
     """What is measured of the bonus with a full marginal, by its column, settled."""
-    full, by_row = (
-        CuriosityBonus(
+    full, round_robin = (
+        CuriosityBonus.default(
             OBSERVATION_DIM,
             ACTION_DIM,
             components=components,
             refresh_interval=1,
-            member_per_row=member_per_row,
+            members=members,
         )
-        for member_per_row in (False, True)
+        for members in ("all", "round_robin")
     )
-    for bonus in (full, by_row):
+    for bonus in (full, round_robin):
         for _ in range(0, components, NUM_PAIRS):
             bonus.observe(transition)
-    asked = {"ensemble_ms": full.dynamics, "bonus_ms": full, "bonus_by_row_ms": by_row}
+    modules = {"ensemble_ms": full.dynamics, "bonus_ms": full, "round_robin_ms": round_robin}
     calls: dict[str, Callable[[], Any]] = {
         name: partial(without_gradient(module, how), transition.observation, transition.action)
-        for name, module in asked.items()
+        for name, module in modules.items()
     }
     for call in calls.values():
         seconds_per_call(call, SETTLING_CALLS)
@@ -170,22 +171,22 @@ def _bonus_calls(
 
 
 def alternate(functions: Mapping[str, Callable[[], Any]], calls: int) -> Row:
-    """Median milliseconds of a call of each, called in turns."""
-    turns = [
+    """Median milliseconds of a call of each, called alternately."""
+    rounds = [
         [1e3 * seconds_per_call(function, 1) for function in functions.values()]
         for _ in range(calls)
     ]
-    return dict(zip(functions, np.median(turns, axis=0).tolist(), strict=True))
+    return dict(zip(functions, np.median(rounds, axis=0).tolist(), strict=True))
 
 
 def without_gradient(module: nn.Module, how: str) -> Callable[..., Any]:
     """A module as a function that keeps nothing for a gradient, eager or compiled."""
 
     @torch.no_grad()
-    def ask(*args: Any) -> Any:
+    def call(*args: Any) -> Any:
         return module(*args)
 
-    return compiled(ask) if how == "compiled" else ask
+    return compiled(call) if how == "compiled" else call
 
 
 def peak_allocation(function: Callable[[], Any]) -> int:
@@ -218,13 +219,13 @@ def random_batch(batch: int) -> Transition:
     return replay.all()
 
 
-def random_steps(num_steps: int, observation_dim: int) -> EnvironmentSteps:
+def random_steps(num_steps: int, observation_dim: int, action_dim: int = ACTION_DIM) -> Step:
     """Steps of normally distributed observations that change a little."""
     generator = np.random.default_rng(0)
     observation, change = generator.normal(size=(2, num_steps, observation_dim))
-    return EnvironmentSteps(
+    return Step(
         observation=observation,
-        action=generator.uniform(-1, 1, (num_steps, ACTION_DIM)),
+        action=generator.uniform(-1, 1, (num_steps, action_dim)),
         reward=generator.normal(size=num_steps),
         next_observation=observation + 0.1 * change,
         terminated=np.zeros(num_steps, dtype=bool),

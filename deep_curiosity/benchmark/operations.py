@@ -8,72 +8,103 @@ import math
 from collections.abc import Sequence
 from itertools import pairwise
 
-from deep_curiosity.speed.machine import should_compile
-from deep_curiosity.training.config import Settings
+from deep_curiosity.bonuses.config import CuriosityConfig
+from deep_curiosity.training.config import Config
+from deep_curiosity.training.learner import compiles
 
 
-def forward(rows: int, widths: Sequence[int]) -> int:
+def count_forward(rows: int, widths: Sequence[int]) -> int:
     """Operations of a perceptron of these widths, input and output included.
 
     Example:
-        >>> forward(10, [3, 4, 2])
+        >>> count_forward(10, [3, 4, 2])
         400
     """
     return 2 * rows * sum(left * right for left, right in pairwise(widths))
 
 
-def fit(rows: int, widths: Sequence[int]) -> int:
+def count_training(rows: int, widths: Sequence[int]) -> int:
     """Operations of a pass and of its gradient in all weights; the input needs none.
 
     The gradient in the weights is as many products as the pass; the gradient in what enters a
     layer is as many again, but for the first layer.
     """
-    return 2 * forward(rows, widths) + forward(rows, widths[1:])
+    return 2 * count_forward(rows, widths) + count_forward(rows, widths[1:])
 
 
-def climb(rows: int, widths: Sequence[int], inputs: int) -> int:
+def count_input_gradient(rows: int, widths: Sequence[int], inputs: int) -> int:
     """Operations of a pass and of its gradient in some of the inputs; the weights need none."""
-    return forward(rows, widths) + forward(rows, [inputs, *widths[1:]])
+    return count_forward(rows, widths) + count_forward(rows, [inputs, *widths[1:]])
 
 
-def update_operations(
-    settings: Settings, observation_dim: int, action_dim: int
-) -> dict[str, float]:
-    """Operations of one update, by part, as a mean over updates where it is not done at each.
+def count_update(config: Config, observation_dim: int, action_dim: int) -> dict[str, float]:
+    """Operations of one update, as a mean over updates where something is not done at each.
+
+    Returns:
+        Those of the agent and, with curiosity, of the training of its models and of the
+        statistics of its bonus.
 
     Raises:
-        ValueError: If `curiosity_discount` is 0, where the actor climbs the bonus itself.
+        ValueError: If `curiosity_discount` is 0, where the policy maximises the bonus itself.
     """
-    if settings.curiosity_discount == 0:
+    if config.agent.curiosity.discount == 0:
         raise ValueError("`curiosity_discount` must be above 0 to be counted, got 0.")
-    batch, modes, outcomes = settings.batch_size, settings.policy_modes, settings.outcomes
-    hidden = [settings.hidden_dim] * 2
-    policy = [observation_dim, *hidden, modes * (2 * action_dim + 1) - 1]
-    critic = [observation_dim + action_dim, *hidden, 1]
-    critics = 2 if settings.bonus == "none" else 4
-
-    target = forward(batch, policy) + critics * forward(batch, critic)
-    evaluation = critics * fit(batch, critic)
-    thinned = math.ceil(batch / settings.actor_stride)
-    climbed = math.ceil(modes * thinned / (2 if settings.critic_per_row else 1))  # by each critic
-    improvement = fit(thinned, policy) + critics * climb(climbed, critic, action_dim)
-    agent = float(target + evaluation + improvement)
-    if settings.bonus != "curiosity":
-        return {"agent": agent}
-
-    model = [observation_dim + action_dim, *hidden, outcomes * (2 * observation_dim + 1) - 1]
-    members, components = settings.members, settings.components
-    in_turn = math.ceil(batch / members)  # rows of each member, where a row has one
-    rows = in_turn if settings.member_per_row else batch
-
-    prediction = members * forward(rows, model)
-    densities = members * forward(rows * outcomes, [2 * observation_dim, components])
-    bonus = prediction + densities
-    refresh = forward(batch, policy) + members * forward(in_turn, model) + bonus
-    # a graph has the predictions from the pass by which the models learn
-    asked = densities if should_compile(settings) else bonus
+    agent = _count_agent(config, observation_dim, action_dim)
+    if not isinstance(config.bonus, CuriosityConfig):
+        return {"agent": float(agent)}
+    bonus = _count_curiosity(config, config.bonus, observation_dim, action_dim)
     return {
-        "agent": agent + asked,
-        "models": float(members * fit(rows, model)),
-        "statistics": refresh / settings.refresh_interval,
+        "agent": float(agent + bonus["bonus"]),
+        "models": float(bonus["models"]),
+        "statistics": bonus["refresh"] / config.bonus.refresh_interval,
     }
+
+
+def _count_agent(config: Config, observation_dim: int, action_dim: int) -> int:
+    """Operations of targets, critics and policy."""
+    agent, batch = config.agent, config.run.batch_size
+    policy = _policy_widths(config, observation_dim, action_dim)
+    critic = [observation_dim + action_dim, *_hidden_dims(config), 1]
+    num_critics = 2 if config.bonus.kind == "none" else 4
+
+    target = count_forward(batch, policy) + num_critics * count_forward(batch, critic)
+    evaluation = num_critics * count_training(batch, critic)
+    actor_rows = math.ceil(batch / agent.actor_stride)
+    shared = 2 if agent.actor_q == "alternate" else 1
+    critic_rows = math.ceil(agent.mixture_components * actor_rows / shared)  # of each critic
+    action_gradient = num_critics * count_input_gradient(critic_rows, critic, action_dim)
+    return target + evaluation + count_training(actor_rows, policy) + action_gradient
+
+
+def _count_curiosity(
+    config: Config, bonus: CuriosityConfig, observation_dim: int, action_dim: int
+) -> dict[str, int]:
+    """Operations of the bonus of a batch, of its models' training, and of a refresh."""
+    dynamics, batch = bonus.dynamics, config.run.batch_size
+    num_members, mixture = dynamics.num_members, dynamics.mixture_components
+    outputs = mixture * (2 * observation_dim + 1) - 1
+    model = [observation_dim + action_dim, *_hidden_dims(config), outputs]
+    round_robin_rows = math.ceil(batch / num_members)  # of each member, where a row has one
+    rows = round_robin_rows if dynamics.members == "round_robin" else batch
+
+    prediction = num_members * count_forward(rows, model)
+    components = bonus.marginal.components
+    densities = num_members * count_forward(rows * mixture, [2 * observation_dim, components])
+    next_states = num_members * count_forward(round_robin_rows, model)
+    actions = count_forward(batch, _policy_widths(config, observation_dim, action_dim))
+    refresh = actions + next_states + prediction + densities
+    # a graph has the predictions from the pass by which the models learn
+    return {
+        "bonus": densities if compiles(config) else prediction + densities,
+        "models": num_members * count_training(rows, model),
+        "refresh": refresh,
+    }
+
+
+def _policy_widths(config: Config, observation_dim: int, action_dim: int) -> list[int]:
+    outputs = config.agent.mixture_components * (2 * action_dim + 1) - 1
+    return [observation_dim, *_hidden_dims(config), outputs]
+
+
+def _hidden_dims(config: Config) -> list[int]:
+    return [config.agent.hidden_dim] * 2

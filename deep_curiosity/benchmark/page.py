@@ -1,60 +1,43 @@
-"""The page that the benchmark writes beside its tables and pictures."""
+"""Texts and tables of the page that the benchmark writes, section by section."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from deep_curiosity.benchmark.agents import ACTION_DIM, NUM_FILLED, OBSERVATION_DIM, Row
-from deep_curiosity.benchmark.own_agent import PARTS
+from deep_curiosity.benchmark.own_agent import STAGES
+from deep_curiosity.benchmark.switches import ALL_ON
 from deep_curiosity.benchmark.tables import (
     grouped,
     median,
     rate_over,
     ratio,
     read_rows,
+    size_name,
     slope,
-    spread,
+    summarize,
 )
+from deep_curiosity.bonuses.config import CuriosityConfig
+from deep_curiosity.experiments.tables import markdown_table
 from deep_curiosity.replay import ReplayBuffer
-from deep_curiosity.training.config import EXACT, Settings
-from deep_curiosity.experiments.grid import markdown_table
+from deep_curiosity.training.config import PRESETS
 
 AS_USED, SAME_PRECISION = "Stable-Baselines3", "Stable-Baselines3, our precision"
 """Stable-Baselines3 as its users run it, and with our precision of matrix products."""
-
-
-def write_page(out: Path) -> None:
-    """Write `README.md` of whatever tables lie in the folder."""
-    sections: list[tuple[str, Callable[[Path], str]]] = [
-        ("agents", agents_section),
-        ("bonus", bonus_section),
-        ("scaling", growth_section),
-        ("vector", vector_section),
-        ("adapters", adapters_section),
-        ("cuda", cuda_section),
-    ]
-    machines = {row["section"]: row for row in read_rows(out / "machine.csv")}
-    text = [
-        "# Benchmark\n",
-        "`make bench` measures all of this on one thread and writes this page. Tables show the\n"
-        "median and `[lowest, highest]` over turns, in which all that is compared alternates;\n"
-        "ratios are taken within a turn. The CSV files beside it have every turn.\n",
-    ]
-    for name, section in sections:
-        if name in machines:
-            text += [section(out), _machine_line(machines[name])]
-    (out / "README.md").write_text("\n".join(text))
-
-
-def _machine_line(machine: Row) -> str:
-    gpu = f"{machine['gpu']}, " if machine.get("gpu") else ""
-    return (
-        f"Machine: {gpu}{machine['cpu']}, {machine['cores']:.0f} cores, torch {machine['torch']}, "
-        f"matrix products {machine['precision']}. Command:\n\n```sh\n{machine['command']}\n```\n"
-    )
+STAGES_TEXT = """\
+Milliseconds of each stage of a step and its update (medians). Acting begins with setting the
+agent's hunger. The update is sampling, statistics and learning. Statistics include the marginal,
+which is not renewed at every update: a mean. Learning is one graph where compiled; models and
+agent can be told apart only where it is not."""
+FLOOR_TEXT = """\
+The floor is the time of the update's matrix products, counted from the sizes of the layers
+(`deep_curiosity/benchmark/operations.py`), at the rate of a batched product of four matrices of
+256 x 256, measured in the same process after every round by `torch.bmm`. A graph has fewer of them
+than the same update uncompiled: there one pass serves the models' learning and the bonus. And it
+calls the kernel itself (`deep_curiosity/speed/matmul.py`)."""
 
 
 def agents_section(out: Path) -> str:
-    """Rates, ratios, memory; parts; floors."""
+    """Rates, ratios and memory; the stages of a step; the floor."""
     rows = read_rows(out / "agents.csv")
     processes = {row["runner"]: row for row in read_rows(out / "processes.csv")}
     return f"""## Agents
@@ -63,31 +46,24 @@ HalfCheetah-v5, batch 256, two layers of 256, one update for every environment s
 transitions in replay. Every runner has a process of its own, and only one computes at a time.
 Stable-Baselines3's SAC (SB3) is taken as its users run it, with torch's own precision of matrix
 products, and with the precision that ours runs with. "Curious" is the default with the learned
-prior. By default the policy learns from every second transition of a batch, where it climbs one
-critic of each pair, each transition trains one model and asks one for its bonus, and the marginal
-is renewed at every {Settings.refresh_interval}th update. With "nothing spared" policy and models
-learn from all, the policy climbs the smaller of two critics, as that of SB3 does, all models are
-asked for every bonus, and the marginal is renewed at every {EXACT["refresh_interval"]}th
-update. The first update is counted from the start of the process, imports and cold compilation
-included; memory is the largest resident memory of the process. A million transitions of replay
-take {replay_megabytes():.0f} MB.
+prior. By default the policy learns from every second transition of a batch, where it maximises one
+critic of each pair, each transition trains one model and its bonus comes from one model, and the
+marginal is renewed at every {CuriosityConfig.refresh_interval}th update. "Exact" is the preset of
+that name: policy and models learn from all transitions, the policy maximises the smaller of two
+critics, as that of SB3 does, every bonus is the mean of all models, and the marginal is renewed at
+every {PRESETS["exact"]["refresh_interval"]}th update. The first update is counted from the start
+of the process, imports and cold compilation included; memory is the largest resident memory of
+the process. A million transitions of replay take {replay_megabytes():.0f} MB.
 
 ![Environment steps per second](agents.png)
 
 {rates_table(rows, processes)}
 
-Milliseconds of each part of a step and its update (medians). Acting begins with what is told to
-the agent before it, its hunger. The update is sampling, statistics and learning. Statistics
-include the marginal, which is not renewed at every update: a mean. Learning is one graph where
-compiled; models and agent can be told apart only where it is not.
+{STAGES_TEXT}
 
-{parts_table(rows)}
+{stages_table(rows)}
 
-The floor is the time of the update's matrix products, counted from the sizes of the layers
-(`deep_curiosity/benchmark/operations.py`), at the rate of a batched product of four matrices of
-256 x 256, measured in the same process after every turn by `torch.bmm`. A graph has fewer of them
-than the same update uncompiled: there one pass serves the models' learning and the bonus. And it
-calls the kernel itself (`deep_curiosity/products.py`).
+{FLOOR_TEXT}
 
 {floor_table(rows)}
 """
@@ -100,13 +76,13 @@ def rates_table(rows: Sequence[Row], processes: dict[str, Row]) -> str:
     for name, own in groups.items():
         process = processes[name]
         ratios = [
-            spread(own, rate_over(rows, reference)) if reference in groups else ""
+            summarize(own, rate_over(rows, reference)) if reference in groups else ""
             for reference in (AS_USED, SAME_PRECISION)
         ]
         lines.append(
             [
                 name,
-                spread(own, "steps_per_second"),
+                summarize(own, "steps_per_second"),
                 *ratios,
                 f"{process['first_update_seconds']:.1f}",
                 f"{process['peak_megabytes']:.0f}",
@@ -116,9 +92,9 @@ def rates_table(rows: Sequence[Row], processes: dict[str, Row]) -> str:
     return markdown_table([*header, "first update, s", "peak MB"], lines)
 
 
-def parts_table(rows: Sequence[Row]) -> str:
-    """Medians of the parts of a step."""
-    columns = [*PARTS, "models", "agent", "update"]
+def stages_table(rows: Sequence[Row]) -> str:
+    """Medians of the stages of a step."""
+    columns = [*STAGES, "models", "agent", "update"]
     lines = []
     for (name,), own in grouped(_ours(rows), "runner").items():
         if own[0]["agent_ms"] != "":
@@ -126,7 +102,7 @@ def parts_table(rows: Sequence[Row]) -> str:
         known = [column for column in columns if own[0].get(f"{column}_ms", "") != ""]
         medians = {column: f"{median(own, f'{column}_ms'):.3f}" for column in known}
         lines.append([str(name), *(medians.get(column, "") for column in columns)])
-    header = ["agent", *PARTS, "of it models", "of it agent", "whole update"]
+    header = ["agent", *STAGES, "of it models", "of it agent", "whole update"]
     return markdown_table(header, lines)
 
 
@@ -136,15 +112,38 @@ def floor_table(rows: Sequence[Row]) -> str:
         [
             str(name),
             f"{median(own, 'gigaflop'):.3f}",
-            spread(own, "gigaflop_per_second"),
-            spread(own, "floor_ms"),
-            spread(own, "update_ms"),
-            spread(own, ratio("update_ms", "floor_ms")),
+            summarize(own, "gigaflop_per_second"),
+            summarize(own, "floor_ms"),
+            summarize(own, "update_ms"),
+            summarize(own, ratio("update_ms", "floor_ms")),
         ]
         for (name,), own in grouped(_ours(rows), "runner").items()
     ]
     header = ["agent", "GFLOP", "GFLOP/s", "floor, ms", "update, ms", "update / floor"]
     return markdown_table(header, lines)
+
+
+def switches_section(out: Path) -> str:
+    """Steps per second without each optimisation."""
+    rows = read_rows(out / "switches.csv")
+    lines = []
+    for (agent,), own in grouped(rows, "agent").items():
+        share = rate_over(own, ALL_ON, column="switched_off")
+        for (name,), same in grouped(own, "switched_off").items():
+            gains = summarize([{"gain": 1 / share(row)} for row in same], "gain")
+            lines.append([str(agent), str(name), summarize(same, "steps_per_second"), gains])
+    header = ["agent", "switched off", "steps per second", "gain"]
+    return f"""## Switches
+
+Environment steps per second of the compiled agents as above with one setting of `SpeedConfig`
+(`deep_curiosity/speed/config.py`) switched off at a time; the gain is the rate with all of them on
+over that. `direct_matmul` and `deduplicate` act in compiled updates only: switching `compile` off
+switches them off as well.
+
+![Environment steps per second with each switch off](switches.png)
+
+{markdown_table(header, lines)}
+"""
 
 
 def bonus_section(out: Path) -> str:
@@ -154,10 +153,10 @@ def bonus_section(out: Path) -> str:
         [
             str(how),
             f"{components:.0f}",
-            spread(own, "ensemble_ms"),
-            spread(own, "bonus_ms"),
-            spread(own, ratio("bonus_ms", "ensemble_ms")),
-            spread(own, ratio("bonus_by_row_ms", "ensemble_ms")),
+            summarize(own, "ensemble_ms"),
+            summarize(own, "bonus_ms"),
+            summarize(own, ratio("bonus_ms", "ensemble_ms")),
+            summarize(own, ratio("round_robin_ms", "ensemble_ms")),
             f"{own[0]['megabytes']:.1f}" if own[0]["megabytes"] != "" else "",
         ]
         for (how, components), own in grouped(rows, "how", "components").items()
@@ -174,8 +173,8 @@ def bonus_section(out: Path) -> str:
     return f"""## Bonus
 
 256 pairs at {OBSERVATION_DIM} dimensions, 5 models, no gradient: the full bonus, which includes
-the ensemble's pass, against that pass alone; and the bonus that asks one model for each pair, as
-the default agent does. Memory is the most that tensors of one call take at a time.
+the ensemble's pass, against that pass alone; and the bonus from one model for each pair, as the
+default agent computes it. Memory is the most that tensors of one call take at a time.
 
 ![Time and memory of the bonus](bonus.png)
 
@@ -195,8 +194,7 @@ def growth_section(out: Path) -> str:
         values, middle = list(costs), list(costs.values())
         shown = ", ".join(f"{value:.0f}: {cost:.3g}" for value, cost in costs.items())
         last = slope(values[-2:], middle[-2:])
-        name = str(size).replace("_", " ")
-        lines.append([name, shown, f"{slope(values, middle):.2f}", f"{last:.2f}"])
+        lines.append([size_name(str(size)), shown, f"{slope(values, middle):.2f}", f"{last:.2f}"])
     return f"""## Scaling
 
 Milliseconds of one eager update of the curious agent with the learned prior (medians), as one size
@@ -216,19 +214,20 @@ def vector_section(out: Path) -> str:
         [
             str(task),
             f"{num:.0f}",
-            spread(own, lambda row: row["native_steps_per_second"] / 1e3),
-            spread(own, lambda row: row["sync_steps_per_second"] / 1e3),
-            spread(own, ratio("native_steps_per_second", "sync_steps_per_second")),
+            summarize(own, lambda row: row["native_steps_per_second"] / 1e3),
+            summarize(own, lambda row: row["sync_steps_per_second"] / 1e3),
+            summarize(own, ratio("native_steps_per_second", "sync_steps_per_second")),
         ]
         for (task, num), own in grouped(rows, "task", "num_envs").items()
     ]
-    header = ["task", "worlds", "native", "SyncVectorEnv", "ratio"]
+    header = ["task", "environments", "native", "SyncVectorEnv", "ratio"]
     return f"""## Vector environments
 
-Thousands of environment steps per second, of all worlds together under random actions, in one call
-of MuJoCo and in Gymnasium's turns; both reset worlds in the step in which they end.
+Thousands of environment steps per second, of all environments together under random actions, in
+one call of MuJoCo and one by one in Gymnasium's `SyncVectorEnv`; both reset an environment in the
+step in which its episode ends.
 
-![Steps per second against worlds](vector.png)
+![Steps per second against environments](vector.png)
 
 {markdown_table(header, lines)}
 """
@@ -243,14 +242,14 @@ def adapters_section(out: Path) -> str:
 
     columns = ("curious_ms", "plain_ms", "direct_ms", "step_ms")
     lines = [
-        [str(adapter), *(spread(own, column) for column in columns), spread(own, overhead)]
+        [str(adapter), *(summarize(own, column) for column in columns), summarize(own, overhead)]
         for (adapter,), own in grouped(rows, "adapter").items()
     ]
     header = ["adapter", "curious sample", "plain sample", "bonus alone", "training step"]
     return f"""## Adapters
 
 Milliseconds of a sample that carries the bonus, of the library's own sample, of the bonus alone on
-a batch at hand (it learns and is asked), and of a whole training step of soft actor-critic on a
+a batch at hand (trained and computed), and of a whole training step of soft actor-critic on a
 curious sample; HalfCheetah-v5, batch 256, two layers of 256, eager. What is left of a curious
 sample without the other two is the adapter's overhead, in percent of the training step.
 
@@ -265,9 +264,9 @@ def cuda_section(out: Path) -> str:
     lines = [
         [
             str(name),
-            spread(own, "steps_per_second"),
-            spread(own, rate_over(agents, f"{AS_USED}, cpu")),
-            spread(own, rate_over(agents, f"{AS_USED}, cuda")),
+            summarize(own, "steps_per_second"),
+            summarize(own, rate_over(agents, f"{AS_USED}, cpu")),
+            summarize(own, rate_over(agents, f"{AS_USED}, cuda")),
             f"{processes[str(name)]['first_update_seconds']:.1f}",
         ]
         for (name,), own in grouped(agents, "runner").items()
@@ -275,14 +274,17 @@ def cuda_section(out: Path) -> str:
     header = ["agent", "steps per second", "to SB3, cpu", "to SB3, cuda", "first update, s"]
     sizes = [size for (size,) in grouped(updates, "batch_size")]
     growth = [
-        [str(where), *(spread(same, "update_ms") for same in grouped(own, "batch_size").values())]
+        [
+            str(where),
+            *(summarize(same, "update_ms") for same in grouped(own, "batch_size").values()),
+        ]
         for (where,), own in grouped(updates, "where").items()
     ]
     columns = ["batch", *(f"{size:.0f}" for size in sizes)]
     return f"""## GPU
 
-The agents as above, one world of HalfCheetah-v5, one update for every step, on a GPU and on one
-thread of the CPU beside it. Acting waits for the update before it, as an action must come back
+The agents as above, one environment of HalfCheetah-v5, one update for every step, on a GPU and on
+one thread of the CPU beside it. Acting waits for the update before it, as an action must come back
 from the GPU.
 
 ![Environment steps per second on both devices](cuda_agents.png)

@@ -35,8 +35,8 @@ def import_runner(address: str, *args: Any) -> Runner:
     return runner
 
 
-class Answer(NamedTuple):
-    """What a worker gives back."""
+class Result(NamedTuple):
+    """What a call of a worker gives back."""
 
     value: Any
     seconds: float
@@ -46,7 +46,7 @@ class Answer(NamedTuple):
 
 
 class Worker:
-    """A process of its own in which an object lives, which computes only when asked.
+    """A process of its own in which an object lives, which computes only when it is called.
 
     Matrix precision, memory allocation and compiled code concern a whole process: so no runner
     profits or suffers from another's. Nothing is compiled beforehand; torch has one thread.
@@ -69,7 +69,7 @@ class Worker:
         self.start_seconds = time.perf_counter() - started
         """From the start of the process, imports included, until the object was there."""
 
-    def ask(self, method: str, *args: Any) -> Answer:
+    def call(self, method: str, *args: Any) -> Result:
         """Call a method of the object.
 
         Raises:
@@ -83,15 +83,15 @@ class Worker:
         self._pipe.send(None)
         self._process.join()
 
-    def _receive(self) -> Answer:
+    def _receive(self) -> Result:
         try:
-            answer = self._pipe.recv()
+            result = self._pipe.recv()
         except EOFError as error:
             raise RuntimeError("a worker failed; its error is printed above.") from error
-        if isinstance(answer, ImportError):
-            raise answer
-        assert isinstance(answer, Answer)
-        return answer
+        if isinstance(result, ImportError):
+            raise result
+        assert isinstance(result, Result)
+        return result
 
 
 def _serve(pipe: Connection, factory: Callable[[], object]) -> None:
@@ -103,12 +103,12 @@ def _serve(pipe: Connection, factory: Callable[[], object]) -> None:
         except ImportError as error:
             pipe.send(error)
             return
-        pipe.send(Answer(None, 0.0, peak_megabytes()))
+        pipe.send(Result(None, 0.0, peak_megabytes()))
         while (request := pipe.recv()) is not None:
             method, args = request
             started = time.perf_counter()
             value = getattr(runner, method)(*args)
-            pipe.send(Answer(value, time.perf_counter() - started, peak_megabytes()))
+            pipe.send(Result(value, time.perf_counter() - started, peak_megabytes()))
 
 
 def peak_megabytes() -> float:

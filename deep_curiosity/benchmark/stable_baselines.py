@@ -33,10 +33,12 @@ class StableBaselines:
         observation, _ = self._environment.reset(seed=0)
         for _ in range(min(num_transitions, NUM_RANDOM_STEPS)):
             action = self._environment.action_space.sample()
-            following, reward, terminated, truncated, _ = self._environment.step(action)
-            ends = np.array([reward]), np.array([terminated])
-            transitions.append((observation, following, action, *ends, [{}]))
-            observation = self._environment.reset()[0] if terminated or truncated else following
+            next_observation, reward, terminated, truncated, _ = self._environment.step(action)
+            outcome = np.array([reward]), np.array([terminated])
+            transitions.append((observation, next_observation, action, *outcome, [{}]))
+            observation = next_observation
+            if terminated or truncated:
+                observation, _ = self._environment.reset()
         buffer = self._agent.replay_buffer
         assert buffer is not None
         for number in range(num_transitions):

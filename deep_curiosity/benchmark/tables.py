@@ -1,4 +1,4 @@
-"""Tables of what was measured: rows in CSV files, and medians and ranges of them in Markdown."""
+"""Tables of what was measured: rows read from CSV files, and medians and ranges of them."""
 
 import csv
 from collections.abc import Callable, Sequence
@@ -7,15 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from deep_curiosity.benchmark.agents import Row
-from deep_curiosity.experiments.grid import median_and_range, write_table
+from deep_curiosity.experiments.tables import median_and_range
 
 Key = tuple[object, ...]
-
-
-def save_rows(path: Path, rows: Sequence[Row]) -> None:
-    """Write rows as CSV; a row without a column leaves it empty."""
-    columns = list(dict.fromkeys(column for row in rows for column in row))
-    write_table(path, columns, [dict.fromkeys(columns, "") | row for row in rows])
 
 
 def read_rows(path: Path) -> list[Row]:
@@ -44,7 +38,7 @@ def grouped(rows: Sequence[Row], *columns: str) -> dict[Key, list[Row]]:
     return groups
 
 
-def spread(rows: Sequence[Row], value: str | Callable[[Row], float]) -> str:
+def summarize(rows: Sequence[Row], value: str | Callable[[Row], float]) -> str:
     """`median [lowest, highest]` over rows of a column or of what is computed of each row."""
     return median_and_range([row[value] if isinstance(value, str) else value(row) for row in rows])
 
@@ -59,9 +53,11 @@ def ratio(over: str, under: str) -> Callable[[Row], float]:
     return lambda row: row[over] / row[under]
 
 
-def rate_over(rows: Sequence[Row], reference: str) -> Callable[[Row], float]:
-    """Steps per second of a row over those of a reference in the same turn."""
-    rates = {row["repeat"]: row["steps_per_second"] for row in rows if row["runner"] == reference}
+def rate_over(
+    rows: Sequence[Row], reference: str, column: str = "runner"
+) -> Callable[[Row], float]:
+    """Steps per second of a row over those of a reference in the same round."""
+    rates = {row["repeat"]: row["steps_per_second"] for row in rows if row[column] == reference}
     return lambda row: row["steps_per_second"] / rates[row["repeat"]]
 
 
@@ -73,3 +69,8 @@ def slope(values: Sequence[float], costs: Sequence[float]) -> float:
         1.0
     """
     return float(np.polyfit(np.log(values), np.log(costs), 1)[0])
+
+
+def size_name(column: str) -> str:
+    """A size in words: `num_members` is the number of members."""
+    return column.removeprefix("num_").replace("_", " ")

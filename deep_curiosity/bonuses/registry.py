@@ -5,7 +5,7 @@ from typing import Any
 
 from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.bonuses.config import BONUS_CONFIGS, bonus_config
-from deep_curiosity.configuration import override
+from deep_curiosity.configuration import flat, override
 
 BONUSES = tuple(name for name in BONUS_CONFIGS if name not in ("constant", "none"))
 """Curiosity and the baselines that it is compared with, all weighed and standardised alike."""
@@ -36,9 +36,15 @@ def make_bonus(
     if name not in BONUSES:
         raise ValueError(f"`bonus` must be one of {', '.join(BONUSES)}, got {name!r}.")
     built_with: dict[str, Any] = {}
-    if name == "curiosity" and callable(options.get("features")):
+    if callable(options.get("features")):
         built_with["encoder"] = options.pop("features")
-    config = override(bonus_config(name), **options)
+    config = bonus_config(name)
+    known = flat(config)
+    for option in options:
+        if option not in known:
+            settings = ", ".join([*known, "hidden_dims"])
+            raise TypeError(f"`{option}` is no setting here; there are {settings}.")
+    config = override(config, **options)
     bonus = config.make(observation_dim, action_dim, hidden_dims, **built_with)
     assert isinstance(bonus, Bonus)
     return bonus

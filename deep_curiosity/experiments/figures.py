@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from deep_curiosity.experiments.statistics import Estimate, bootstrap
+from deep_curiosity.experiments.statistics import Estimate, Groups, bootstrap
 from deep_curiosity.experiments.study import Row, Study
 from deep_curiosity.experiments.tables import select
 
@@ -90,9 +90,7 @@ def _plot_column(axes: Axes, study: Study, own: Sequence[Row], column: str) -> N
     axes.set(xlabel=study.label, ylabel=title)
 
 
-def _plot_intervals(
-    axes: Axes, estimates: Sequence[Estimate], values: Sequence[Sequence[float]]
-) -> None:
+def _plot_intervals(axes: Axes, estimates: Sequence[Estimate], values: Groups) -> None:
     for place, (estimate, runs) in enumerate(zip(estimates, values, strict=True)):
         axes.plot(runs, [place] * len(runs), ".", color="grey", alpha=0.6)
         axes.hlines(place, estimate.low, estimate.high, color="C0", linewidth=3, alpha=0.5)

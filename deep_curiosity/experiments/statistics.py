@@ -13,7 +13,7 @@ NUM_RESAMPLES = 10_000
 LEVEL = 0.95
 Statistic = Callable[[np.ndarray], np.ndarray]
 """From values along the last axis to one number."""
-Groups = Sequence[Sequence[float]]
+Groups = Sequence[Sequence[float | int]]
 """Values of one agent's runs, a group for each task, in the order of the seeds."""
 
 
@@ -38,8 +38,7 @@ def interquartile_mean(values: np.ndarray) -> np.ndarray:
     """
     cut = values.shape[-1] // 4
     ordered = np.sort(values, axis=-1)
-    middle: np.ndarray = ordered[..., cut : values.shape[-1] - cut].mean(-1)
-    return middle
+    return np.asarray(ordered[..., cut : values.shape[-1] - cut].mean(-1))
 
 
 def bootstrap(
@@ -84,7 +83,7 @@ def probability_of_improvement(first: Groups, second: Groups, *, seed: int = 0) 
     return Estimate(float(np.mean(values)), *_interval(np.mean(resampled, axis=0)))
 
 
-def rank_correlation(first: Sequence[float], second: Sequence[float]) -> float:
+def rank_correlation(first: Sequence[float | int], second: Sequence[float | int]) -> float:
     """Spearman's correlation of two sequences without ties."""
     ranks = np.array([np.argsort(np.argsort(values)) for values in (first, second)])
     return float(np.corrcoef(ranks)[0, 1])

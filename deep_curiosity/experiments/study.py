@@ -79,7 +79,7 @@ class Result:
     Args:
         rows: What was measured, mostly one row.
         curve: Evaluations, each with `step` and `evaluation_return`.
-        origin: What is told of every row: version, commit, and settings that differ from the
+        origin: What made every row: version, commit, and settings that differ from the
             default.
     """
 

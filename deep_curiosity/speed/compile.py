@@ -1,6 +1,5 @@
 """Compiling an update into one graph: losses, their gradients and the optimisers' steps."""
 
-import copyreg
 from collections.abc import Callable
 from functools import cache, partial, wraps
 from inspect import ismethod
@@ -174,7 +173,12 @@ def _sealed(kind: Any) -> Any:
         kind.__setattr__(module, name, value)
 
     def unsealed(module: nn.Module) -> tuple[Any, ...]:
-        return copyreg.__newobj__, (kind,), vars(module)  # type: ignore[attr-defined]
+        return _blank, (kind,), vars(module)
 
     body = {"__setattr__": refuse, "_sealed_from": kind, "__reduce__": unsealed}
     return type(kind.__name__, (kind,), body)
+
+
+def _blank(kind: type[nn.Module]) -> nn.Module:
+    """An instance without state, of a class that pickle takes for the instance's own."""
+    return kind.__new__(kind)

@@ -23,6 +23,6 @@ class SpeedConfig(Group):
     deduplicate: bool = True
     """Compute once what a compiled update would compute twice."""
     keep_memory: bool = True
-    """Let the process keep the memory that it frees while it trains, in huge pages where it can."""
+    """Let the process keep memory that it frees while it trains, in huge pages where it can."""
     numpy_policy: bool = True
     """Act by NumPy where one environment is stepped on the CPU."""

@@ -41,11 +41,12 @@ def fitted_machine(config: SpeedConfig) -> Iterator[MatmulPrecision]:
 
 def choose_matmul_precision(wanted: str, device: str = "cpu") -> MatmulPrecision:
     """The precision wanted, or with `"auto"` the fastest that is float32 on this machine."""
-    before = torch.get_float32_matmul_precision()
-    rates: dict[MatmulPrecision, float] = {}
     for precision in PRECISIONS:
         if wanted == precision:
             return precision
+    before = torch.get_float32_matmul_precision()
+    rates: dict[MatmulPrecision, float] = {}
+    for precision in PRECISIONS:
         torch.set_float32_matmul_precision(precision)
         if matmul_error(device) < FLOAT32_ERROR:
             rates[precision] = matmul_rate(device=device)

@@ -49,7 +49,7 @@ class Collector:
 
     Args:
         environment: Takes actions in [-1, 1]; autoreset of a vector environment is disabled, so
-            that what a step returns is the true successor also where an episode ends.
+            that what a step returns is the true next observation also where an episode ends.
         seed: Together with the number of the episode it seeds every reset.
 
     Raises:

@@ -7,6 +7,7 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import field, make_dataclass
 from functools import cache
+from itertools import zip_longest
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, get_args
 
@@ -91,7 +92,7 @@ def parse(arguments: Sequence[str] | None = None, *, description: str) -> Comman
 
 def _peek(arguments: list[str], flag: str) -> str | None:
     """Value of a flag, before all are read."""
-    for argument, value in zip(arguments, [*arguments[1:], None], strict=True):
+    for argument, value in zip_longest(arguments, arguments[1:]):
         if argument == flag:
             return value
         if argument.startswith(f"{flag}="):

@@ -138,10 +138,20 @@ class Config(Group):
     def override(self, preset: str = "fast", **values: Any) -> "Config":
         """The same configuration with some settings changed, as in `of`."""
         kind = values.pop("bonus", self.bonus)
-        config = self if kind == self.bonus else replace(self, bonus=_switched(self.bonus, kind))
-        known = flat(config)
-        chosen = {name: value for name, value in _preset(preset).items() if name in known}
-        return override(config, **chosen | values)
+        bonus = self.bonus if kind == self.bonus else _switched(self.bonus, kind)
+        groups: dict[str, Group] = vars(self) | {"bonus": bonus}
+        known = [name for group in groups.values() for name in flat(group)]
+        for name in values:
+            if name not in known:
+                raise TypeError(f"`{name}` is no setting here; there are {', '.join(known)}.")
+        chosen = _preset(preset) | values
+        changed: dict[str, Any] = {
+            field: override(
+                group, **{name: chosen[name] for name in flat(group) if name in chosen}
+            )
+            for field, group in groups.items()
+        }
+        return replace(self, **changed)
 
     def to_json(self) -> dict[str, Any]:
         """All settings by their flat names, as JSON knows them."""

@@ -8,7 +8,7 @@ from types import FrameType
 
 
 class Interruption:
-    """Whether the user has asked to stop."""
+    """Whether the user has requested a stop."""
 
     def __init__(self) -> None:
         self.requested = False

@@ -1,6 +1,7 @@
 """Playing a trained agent back: its weights from a checkpoint, its episodes as video."""
 
 from pathlib import Path
+from typing import Any
 
 import gymnasium
 import imageio.v2 as imageio
@@ -80,7 +81,8 @@ def record_episode(
 def write_video(path: Path, frames: list[NDArray[np.uint8]], *, fps: int) -> None:
     """Write frames to a file whose suffix names the format, such as .mp4 or .gif."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    imageio.mimwrite(path, list(frames), fps=fps)
+    pace: dict[str, Any] = {"duration": 1000 / fps} if path.suffix == ".gif" else {"fps": fps}
+    imageio.mimwrite(path, list(frames), **pace)
 
 
 def _frame(environment: gymnasium.Env) -> NDArray[np.uint8]:

@@ -16,7 +16,6 @@ import torch
 from torch import Tensor
 
 from deep_curiosity import __version__
-from deep_curiosity.configuration import as_plain, flat
 from deep_curiosity.speed.machine import fitted_machine
 from deep_curiosity.speed.precision import matmul_error
 from deep_curiosity.training.checkpoint import load_checkpoint, save_checkpoint
@@ -207,9 +206,9 @@ def merge_config(wanted: Config, own: Config) -> Config:
     Raises:
         ValueError: If another setting is wanted than the run has.
     """
-    there, here = flat(own), flat(wanted)
-    for name in there.keys() | here.keys():
-        values = [as_plain(side[name].value) if name in side else None for side in (there, here)]
+    there, here = own.to_json(), wanted.to_json()
+    for name in dict.fromkeys(("bonus", *there, *here)):
+        values = there.get(name), here.get(name)
         if name not in (*IGNORED, "total_steps") and values[0] != values[1]:
             raise ValueError(
                 f"`{name}` must stay as the run in {own.run.out} has it, {values[0]!r}, "

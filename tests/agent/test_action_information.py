@@ -14,7 +14,7 @@ def linear_gaussian(num_states, std, dim=1, seed=0):
     log_var = torch.full_like(loc, 2 * math.log(std))
     policy = DiagonalMixture(loc, log_var, torch.zeros(num_states, 1, dtype=torch.float64))
     noise = torch.randn(num_states, 1, dim, generator=generator, dtype=torch.float64)
-    return policy, policy.component_samples(noise).squeeze(1)
+    return policy, policy.component_samples(noise).squeeze(-2)
 
 
 @pytest.mark.parametrize("std", [2.0, 0.5, 0.1])
@@ -37,7 +37,7 @@ def test_a_policy_that_ignores_the_state_carries_nothing():
     assert estimate.upper.item() == pytest.approx(0, abs=1e-9)
 
 
-def test_of_states_that_actions_identify_the_lower_estimate_counts_all():
+def test_where_actions_reveal_the_state_the_lower_estimate_is_the_log_of_their_number():
     estimate = action_information(*linear_gaussian(50, 1e-6))
     assert estimate.lower.item() == pytest.approx(math.log(50), abs=1e-6)
     assert estimate.upper > math.log(50)

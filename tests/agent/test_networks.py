@@ -34,8 +34,7 @@ def test_policy_has_one_gaussian_for_each_observation():
 
 def test_log_std_stays_in_its_range_at_any_observation():
     policy = GaussianPolicy(3, 2, hidden_dims=(8,))(torch.randn(64, 3) * 1e4)
-    log_std = 0.5 * policy.log_var
-    low, high = LOG_STD_RANGE
+    (low, high), log_std = LOG_STD_RANGE, 0.5 * policy.log_var
     assert log_std.min() >= low and log_std.max() <= high
     assert log_std.max() - log_std.min() > 1  # and it uses the range
 
@@ -53,8 +52,8 @@ def test_where_the_network_says_zero_log_std_is_the_middle_of_its_range():
 def test_gradients_reach_every_parameter_of_the_policy(components):
     policy = GaussianPolicy(3, 2, mixture_components=components, hidden_dims=(8,))
     distribution = policy(torch.randn(32, 3))
-    pre_action = distribution.component_samples(torch.randn(32, components, 2)).transpose(0, 1)
-    log_prob = distribution.log_prob(pre_action)  # components batch
+    points = distribution.component_samples(torch.randn(32, components, 2)).transpose(0, 1)
+    log_prob = distribution.log_prob(points)  # components batch
     (distribution.log_weight.exp().mT * log_prob).sum().backward()
     assert all(parameter.grad.abs().sum() > 0 for parameter in policy.parameters())
 
@@ -68,16 +67,6 @@ def test_a_policy_of_several_components_weighs_them():
 def test_a_policy_without_components_is_rejected():
     with pytest.raises(ValueError, match="`mixture_components` must be at least 1, got 0"):
         GaussianPolicy(3, 2, mixture_components=0)
-
-
-@pytest.mark.parametrize("components", [1, 3])
-def test_a_policy_can_be_computed_from_its_last_hidden_layer(components):
-    policy = GaussianPolicy(3, 2, mixture_components=components, hidden_dims=(8, 6))
-    observation = torch.randn(5, 3)
-    hidden = policy.hidden(observation)
-    assert hidden.shape == (5, 6)
-    for field, expected in zip(policy.at(hidden), policy(observation), strict=True):
-        torch.testing.assert_close(field, expected)
 
 
 @pytest.mark.parametrize("pairs", [1, 2])
@@ -99,7 +88,7 @@ def test_lower_value_is_the_smaller_of_each_pair():
 
 
 @pytest.mark.parametrize("rows", [1, 6, 7])
-def test_rows_are_valued_by_the_critics_of_each_pair_alternately(rows):
+def test_alternating_each_row_goes_to_one_critic_of_each_pair(rows):
     critics = Critics(3, 2, pairs=2, hidden_dims=(8,))
     observation, action = torch.randn(rows, 3), torch.randn(rows, 2)
     both = critics(observation, action)  # pairs 2 rows
@@ -115,84 +104,6 @@ def test_values_depend_on_observation_and_action():
     assert observation.grad.abs().sum() > 0 and action.grad.abs().sum() > 0
 
 
-def column(value):
-    return torch.tensor([[value]], dtype=torch.float64)
-
-
-@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@pytest.mark.parametrize("sign", [-1, 1])
-def test_volume_change_at_thirty_is_exact(dtype, sign):
-    pre_action = torch.tensor([[30.0 * sign]], dtype=dtype)
-    expected = math.log(4) - 60  # 1 - tanh(u)^2 = 4 exp(-2|u|) to 26 digits
-    assert log_abs_det_tanh(pre_action).item() == pytest.approx(expected, abs=1e-5)
-
-
-def test_volume_change_agrees_with_its_definition_where_that_is_stable():
-    pre_action = torch.linspace(-3, 3, 41, dtype=torch.float64).unsqueeze(-1)
-    expected = torch.log1p(-pre_action.tanh().square()).squeeze(-1)
-    torch.testing.assert_close(log_abs_det_tanh(pre_action), expected)
-
-
-def test_volume_change_has_a_bounded_gradient_at_thirty():
-    pre_action = torch.tensor([[30.0], [-30.0]], requires_grad=True)
-    log_abs_det_tanh(pre_action).sum().backward()
-    torch.testing.assert_close(pre_action.grad, torch.tensor([[-2.0], [2.0]]))
-
-
-def test_squashed_log_density_agrees_with_torch_distributions():
-    loc, log_std = torch.randn(2, 64, 3, dtype=torch.float64)
-    pre_action = loc + log_std.exp() * torch.randn(64, 3, dtype=torch.float64)
-    squash = TanhTransform(cache_size=1)  # the cache spares the inverse, which is not stable
-    reference = TransformedDistribution(Independent(Normal(loc, log_std.exp()), 1), squash)
-    action = squash(pre_action)
-    actual = squashed_log_prob(gaussian_log_prob(pre_action, loc, log_std), pre_action)
-    torch.testing.assert_close(actual, reference.log_prob(action), atol=1e-7, rtol=1e-7)
-
-
-def one_component(loc, log_std):
-    return DiagonalMixture(
-        loc.unsqueeze(-2), 2 * log_std.unsqueeze(-2), torch.zeros(len(loc), 1, dtype=loc.dtype)
-    )
-
-
-def test_single_precision_is_right_at_large_pre_actions():
-    pre_action = torch.tensor([[9.0], [20.0], [-30.0]])
-    policy = one_component(pre_action, torch.zeros(3, 1))
-    actual = squashed_log_prob(policy.log_prob(pre_action), pre_action)
-    expected = -0.5 * math.log(2 * math.pi) - math.log(4) + 2 * pre_action.abs().squeeze(-1)
-    torch.testing.assert_close(actual, expected, atol=1e-5, rtol=0)
-
-
-@pytest.mark.parametrize(("loc", "log_std"), [(0.0, -1.0), (0.5, -1.5)])
-def test_squashed_density_integrates_to_one_over_the_action_box(loc, log_std):
-    policy = one_component(column(loc), column(log_std))
-
-    def density(action):
-        pre_action = column(math.atanh(action))
-        return squashed_log_prob(policy.log_prob(pre_action), pre_action).exp().item()
-
-    total, _ = integrate.quad(density, -1, 1)
-    assert total == pytest.approx(1, abs=1e-6)
-
-
-def test_flat_density_integrates_to_the_volume_of_the_box():
-    total, _ = integrate.quad(lambda u: log_abs_det_tanh(column(u)).exp().item(), -20, 20)
-    assert total == pytest.approx(2, abs=1e-6)
-
-
-def test_flat_density_of_the_action_is_one_everywhere():
-    pre_action = torch.randn(9, 4, dtype=torch.float64) * 5
-    on_the_box = squashed_log_prob(log_abs_det_tanh(pre_action), pre_action)
-    torch.testing.assert_close(on_the_box, torch.zeros(9, dtype=torch.float64))
-
-
-def test_the_squash_cancels_from_a_difference_of_log_densities():
-    pre_action = torch.randn(9, 2, dtype=torch.float64) * 2
-    one, other = torch.randn(2, 9, dtype=torch.float64)
-    squashed = squashed_log_prob(one, pre_action) - squashed_log_prob(other, pre_action)
-    torch.testing.assert_close(squashed, one - other)
-
-
 def density(prior, pre_action):
     with torch.no_grad():
         return prior.log_prob(torch.tensor([[pre_action]], dtype=torch.float64)).exp().item()
@@ -203,7 +114,7 @@ def log_uniform(pre_action):
     return math.log(0.5) - 2 * math.log(math.cosh(pre_action))
 
 
-def random_marginal(action_dim=1, **options):
+def random_prior(action_dim=1, **options):
     marginal = LearnedPrior(action_dim, **options).double()
     for parameter in marginal.parameters():
         parameter.data.normal_()
@@ -250,8 +161,8 @@ def test_the_learned_density_integrates_to_one(fitted):
 
 
 @pytest.mark.parametrize("uniform_share", [0.1, 0.9])
-def test_any_learned_density_integrates_to_one(uniform_share):
-    marginal = random_marginal(uniform_share=uniform_share)
+def test_any_density_integrates_to_one(uniform_share):
+    marginal = random_prior(uniform_share=uniform_share)
     peaks = marginal.loc.flatten().tolist()
     total, _ = integrate.quad(lambda u: density(marginal, u), -500, 500, points=peaks, limit=500)
     assert total == pytest.approx(1, abs=1e-6)
@@ -268,7 +179,7 @@ def test_the_density_is_the_mixture_it_says_it_is():
 
 
 def test_the_uniform_share_is_a_floor_of_the_density():
-    marginal = random_marginal(action_dim=3, uniform_share=0.2)
+    marginal = random_prior(action_dim=3, uniform_share=0.2)
     marginal.loc.data.fill_(50.0)  # habits far from every point
     pre_action = torch.randn(100, 3, dtype=torch.float64) * 4
     uniform = UniformPrior(3).log_prob(pre_action) - 3 * math.log(2)
@@ -316,7 +227,7 @@ def test_flat_prior_has_nothing_to_learn():
     assert list(UniformPrior(3).parameters()) == [] and len(UniformPrior(3).state_dict()) == 0
 
 
-def test_gradients_reach_every_parameter_of_the_prior_and_the_pre_action():
+def test_gradients_reach_every_parameter_and_the_pre_action():
     marginal = LearnedPrior(2)
     pre_action = torch.randn(64, 2, requires_grad=True)
     prior_loss(marginal.log_prob(pre_action)).backward()
@@ -325,14 +236,14 @@ def test_gradients_reach_every_parameter_of_the_prior_and_the_pre_action():
 
 
 @pytest.mark.parametrize("prior", [UniformPrior(2), LearnedPrior(2)])
-def test_any_leading_shape_will_do_for_a_prior(prior):
+def test_any_leading_shape_will_do(prior):
     pre_action = torch.randn(3, 4, 2)
     flat = prior.log_prob(pre_action.flatten(0, 1))
     torch.testing.assert_close(prior.log_prob(pre_action).flatten(), flat)
 
 
 @pytest.mark.parametrize("prior", [UniformPrior(1), LearnedPrior(1)])
-def test_log_density_of_a_prior_is_finite_far_out(prior):
+def test_log_density_is_finite_far_out(prior):
     assert prior.log_prob(torch.tensor([[-40.0], [40.0]])).isfinite().all()
 
 
@@ -342,3 +253,80 @@ def test_log_density_of_a_prior_is_finite_far_out(prior):
 def test_a_prior_out_of_range_is_rejected_by_name_and_value(name, value):
     with pytest.raises(ValueError, match=rf"`{name}`.*got {value}"):
         LearnedPrior(1, **{name: value})
+
+
+def column(value):
+    return torch.tensor([[value]], dtype=torch.float64)
+
+
+def one_component(loc, log_std):
+    log_weight = torch.zeros(len(loc), 1, dtype=loc.dtype)
+    return DiagonalMixture(loc.unsqueeze(-2), 2 * log_std.unsqueeze(-2), log_weight)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("sign", [-1, 1])
+def test_volume_change_at_thirty_is_exact(dtype, sign):
+    pre_action = torch.tensor([[30.0 * sign]], dtype=dtype)
+    expected = math.log(4) - 60  # 1 - tanh(u)^2 = 4 exp(-2|u|) to 26 digits
+    assert log_abs_det_tanh(pre_action).item() == pytest.approx(expected, abs=1e-5)
+
+
+def test_volume_change_agrees_with_its_definition_where_that_is_stable():
+    pre_action = torch.linspace(-3, 3, 41, dtype=torch.float64).unsqueeze(-1)
+    expected = torch.log1p(-pre_action.tanh().square()).squeeze(-1)
+    torch.testing.assert_close(log_abs_det_tanh(pre_action), expected)
+
+
+def test_volume_change_has_a_bounded_gradient_at_thirty():
+    pre_action = torch.tensor([[30.0], [-30.0]], requires_grad=True)
+    log_abs_det_tanh(pre_action).sum().backward()
+    torch.testing.assert_close(pre_action.grad, torch.tensor([[-2.0], [2.0]]))
+
+
+def test_squashed_log_density_agrees_with_torch_distributions():
+    loc, log_std = torch.randn(2, 64, 3, dtype=torch.float64)
+    pre_action = loc + log_std.exp() * torch.randn(64, 3, dtype=torch.float64)
+    squash = TanhTransform(cache_size=1)  # the cache spares the inverse, which is not stable
+    reference = TransformedDistribution(Independent(Normal(loc, log_std.exp()), 1), squash)
+    action = squash(pre_action)
+    actual = squashed_log_prob(gaussian_log_prob(pre_action, loc, log_std), pre_action)
+    torch.testing.assert_close(actual, reference.log_prob(action), atol=1e-7, rtol=1e-7)
+
+
+def test_single_precision_is_right_at_large_pre_actions():
+    pre_action = torch.tensor([[9.0], [20.0], [-30.0]])
+    policy = one_component(pre_action, torch.zeros(3, 1))
+    actual = squashed_log_prob(policy.log_prob(pre_action), pre_action)
+    expected = -0.5 * math.log(2 * math.pi) - math.log(4) + 2 * pre_action.abs().squeeze(-1)
+    torch.testing.assert_close(actual, expected, atol=1e-5, rtol=0)
+
+
+@pytest.mark.parametrize(("loc", "log_std"), [(0.0, -1.0), (0.5, -1.5)])
+def test_squashed_density_integrates_to_one_over_the_action_box(loc, log_std):
+    policy = one_component(column(loc), column(log_std))
+
+    def density(action):
+        pre_action = column(math.atanh(action))
+        return squashed_log_prob(policy.log_prob(pre_action), pre_action).exp().item()
+
+    total, _ = integrate.quad(density, -1, 1)
+    assert total == pytest.approx(1, abs=1e-6)
+
+
+def test_flat_density_integrates_to_the_volume_of_the_box():
+    total, _ = integrate.quad(lambda u: log_abs_det_tanh(column(u)).exp().item(), -20, 20)
+    assert total == pytest.approx(2, abs=1e-6)
+
+
+def test_flat_density_of_the_action_is_one_everywhere():
+    pre_action = torch.randn(9, 4, dtype=torch.float64) * 5
+    on_the_box = squashed_log_prob(log_abs_det_tanh(pre_action), pre_action)
+    torch.testing.assert_close(on_the_box, torch.zeros(9, dtype=torch.float64))
+
+
+def test_the_squash_cancels_from_a_difference_of_log_densities():
+    pre_action = torch.randn(9, 2, dtype=torch.float64) * 2
+    one, other = torch.randn(2, 9, dtype=torch.float64)
+    squashed = squashed_log_prob(one, pre_action) - squashed_log_prob(other, pre_action)
+    torch.testing.assert_close(squashed, one - other)

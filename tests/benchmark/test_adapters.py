@@ -2,7 +2,8 @@ import pytest
 
 from deep_curiosity.benchmark.adapters import measure_adapters
 from deep_curiosity.benchmark.page import adapters_section
-from deep_curiosity.benchmark.tables import grouped, save_rows
+from deep_curiosity.benchmark.tables import grouped
+from deep_curiosity.experiments.tables import write_table
 
 
 @pytest.mark.filterwarnings("ignore")  # what MuJoCo says of the task's file
@@ -10,13 +11,13 @@ def test_every_adapter_is_measured_against_the_bonus_alone(tmp_path):
     rows = measure_adapters("HalfCheetah-v5", repeats=3, calls=2)
     assert [row["adapter"] for row in rows] == 3 * ["Stable-Baselines3", "torchrl"]
     for own in grouped(rows, "adapter").values():
-        # the shortest of several turns: another process can only make a turn longer
+        # the shortest of several rounds: another process can only make a round longer
         step, curious, plain, direct = (
-            min(row[f"{part}_ms"] for row in own)
-            for part in ("step", "curious", "plain", "direct")
+            min(row[f"{name}_ms"] for row in own)
+            for name in ("step", "curious", "plain", "direct")
         )
         assert step > curious > plain > 0 < direct
-    save_rows(tmp_path / "adapters.csv", rows)
+    write_table(tmp_path / "adapters.csv", rows)
     assert "| Stable-Baselines3 | " in adapters_section(tmp_path)
 
 
@@ -28,7 +29,7 @@ def test_overhead_is_what_is_left_of_a_sample_in_percent_of_a_step(tmp_path):
         "direct_ms": 4.0,
         "step_ms": 20.0,
     }
-    save_rows(tmp_path / "adapters.csv", [row])
+    write_table(tmp_path / "adapters.csv", [row])
     assert "| some | 6 [6, 6] | 1 [1, 1] | 4 [4, 4] | 20 [20, 20] | 5 [5, 5] |" in (
         adapters_section(tmp_path)
     )

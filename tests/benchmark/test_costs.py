@@ -1,19 +1,16 @@
-from dataclasses import replace
-
 import pytest
 import torch
 
 from deep_curiosity.benchmark.costs import measure_growth, peak_allocation
 
 
-def test_a_row_for_every_turn_of_every_size(tiny):
-    settings = replace(tiny, compile="off")
-    growth = {"observation_dim": (4, 8), "members": (2,)}
-    rows = measure_growth(settings, growth, repeats=2, updates=1)
+def test_a_row_for_every_size_in_every_round(tiny):
+    growth = {"observation_dim": (4, 8), "num_members": (2,)}
+    rows = measure_growth(tiny.override(compile="off"), growth, repeats=2, updates=1)
     assert [(row["size"], row["value"], row["repeat"]) for row in rows] == [
         (size, value, repeat)
         for repeat in (0, 1)
-        for size, value in (("observation_dim", 4), ("observation_dim", 8), ("members", 2))
+        for size, value in (("observation_dim", 4), ("observation_dim", 8), ("num_members", 2))
     ]
     assert all(row["update_ms"] > 0 for row in rows)
 

@@ -1,48 +1,45 @@
-from dataclasses import replace
-
 import pytest
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
 from deep_curiosity.benchmark.costs import random_steps
-from deep_curiosity.benchmark.operations import climb, fit, forward, update_operations
-from deep_curiosity.training import Settings
-from deep_curiosity.training.learner import Learner
-from deep_curiosity.training.config import EXACT
-
-SMALL = Settings(
-    hidden_dim=4,
-    batch_size=10,
-    members=2,
-    components=5,
-    compile="off",
-    **EXACT,
+from deep_curiosity.benchmark.operations import (
+    count_forward,
+    count_input_gradient,
+    count_training,
+    count_update,
 )
+from deep_curiosity.training import Config
+from deep_curiosity.training.learner import Learner
+
+SIZES = {"hidden_dim": 4, "batch_size": 10, "compile": "off"}
+SMALL = Config.of("exact", num_members=2, components=5, **SIZES)
+PLAIN = Config.of("exact", bonus="none", **SIZES)
 # products: policy 3-4-4-4 has 44, critic 5-4-4-1 has 40, model 5-4-4-6 has 60
 
 
 def test_a_multiplication_and_an_addition_are_two_operations():
-    assert forward(10, [3, 4, 2]) == 2 * 10 * (12 + 8)
+    assert count_forward(10, [3, 4, 2]) == 2 * 10 * (12 + 8)
 
 
 def test_the_first_layer_needs_no_gradient_in_its_input():
-    assert fit(10, [3, 4, 2]) == 20 * ((12 + 8) + (12 + 8) + 8)
+    assert count_training(10, [3, 4, 2]) == 20 * ((12 + 8) + (12 + 8) + 8)
 
 
-def test_what_is_climbed_needs_no_gradient_in_its_weights():
-    assert climb(10, [3, 4, 2], 1) == 20 * ((12 + 8) + (4 + 8))
+def test_what_is_maximised_needs_no_gradient_in_its_weights():
+    assert count_input_gradient(10, [3, 4, 2], 1) == 20 * ((12 + 8) + (4 + 8))
 
 
 def test_operations_of_the_plain_agent():
     target = 20 * (44 + 2 * 40)
     evaluation = 2 * 20 * (40 + 40 + 20)
     improvement = 20 * (44 + 44 + 32) + 2 * 20 * (40 + 28)
-    operations = update_operations(replace(SMALL, bonus="none"), 3, 2)
+    operations = count_update(PLAIN, 3, 2)
     assert operations == {"agent": target + evaluation + improvement}
 
 
 def test_operations_of_the_curious_agent():
-    operations = update_operations(SMALL, 3, 2)
+    operations = count_update(SMALL, 3, 2)
     critics = 20 * 4 * 40 + 4 * 20 * (40 + 40 + 20) + 4 * 20 * (40 + 28)
     policy = 20 * 44 + 20 * (44 + 44 + 32)
     bonus = 2 * (20 * 60 + 20 * 6 * 5)
@@ -51,54 +48,58 @@ def test_operations_of_the_curious_agent():
     assert operations["statistics"] == (20 * 44 + 20 * 60 + bonus) / 10
 
 
-def test_a_member_for_each_row_costs_as_one_member():
-    shared = update_operations(replace(SMALL, member_per_row=True), 3, 2)
-    all_members = update_operations(SMALL, 3, 2)
+def test_round_robin_members_cost_as_one_member():
+    shared = count_update(SMALL.override(members="round_robin"), 3, 2)
+    all_members = count_update(SMALL, 3, 2)
     assert all_members["agent"] - shared["agent"] == 20 * 60 + 20 * 6 * 5
     assert shared["models"] == all_members["models"] / 2
 
 
-@pytest.mark.parametrize(("member_per_row", "spared"), [(False, 2 * 20 * 60), (True, 20 * 60)])
-def test_a_graph_needs_no_pass_of_its_own_for_the_bonus(member_per_row, spared):
-    settings = replace(SMALL, member_per_row=member_per_row)
-    eager = update_operations(settings, 3, 2)
-    graph = update_operations(replace(settings, compile="on"), 3, 2)
-    assert eager["agent"] - graph["agent"] == spared
+@pytest.mark.parametrize(("members", "saved"), [("all", 2 * 20 * 60), ("round_robin", 20 * 60)])
+def test_a_graph_needs_no_pass_of_its_own_for_the_bonus(members, saved):
+    config = SMALL.override(members=members)
+    eager = count_update(config, 3, 2)
+    graph = count_update(config.override(compile="on"), 3, 2)
+    assert eager["agent"] - graph["agent"] == saved
     assert eager["models"] == graph["models"] and eager["statistics"] == graph["statistics"]
 
 
-def test_a_critic_for_each_row_costs_as_one_critic_of_each_pair():
+def test_alternate_critics_cost_as_one_critic_of_each_pair():
     both, one = (
-        update_operations(replace(SMALL, critic_per_row=per_row), 3, 2)["agent"]
-        for per_row in (False, True)
+        count_update(SMALL.override(actor_q=actor_q), 3, 2)["agent"]
+        for actor_q in ("min", "alternate")
     )
     assert both - one == 2 * 20 * (40 + 28)
 
 
 def test_an_actor_that_takes_every_third_row_costs_as_many_rows():
-    whole, thinned = (
-        update_operations(replace(SMALL, bonus="none", actor_stride=stride), 3, 2)["agent"]
-        for stride in (1, 3)
+    whole, part = (
+        count_update(PLAIN.override(actor_batch_fraction=fraction), 3, 2)["agent"]
+        for fraction in (1.0, 1 / 3)
     )
-    assert whole - thinned == (10 - 4) * 2 * ((44 + 44 + 32) + 2 * (40 + 28))
+    assert whole - part == (10 - 4) * 2 * ((44 + 44 + 32) + 2 * (40 + 28))
 
 
-@pytest.mark.parametrize("changes", [{"bonus": "none"}, {}, EXACT], ids=str)
-def test_torch_counts_as_many_operations(changes):
-    settings = replace(Settings(batch_size=64, compile="off", **changes), refresh_interval=1)
-    learner = Learner(settings, 17, 6)
-    learner.store(random_steps(100, 17))
+@pytest.mark.parametrize(
+    "config",
+    [Config.of(bonus="none"), Config.of(refresh_interval=1), Config.of("paper")],
+    ids=["plain", "curious", "paper"],
+)
+def test_torch_counts_as_many_operations(config):
+    config = config.override(batch_size=64, compile="off")
+    learner = Learner(config, 17, 6)
+    learner.replay.extend(*random_steps(100, 17))
     learner.update()
     with FlopCounterMode(display=False) as counter:
         learner.update()
-    expected = sum(update_operations(settings, 17, 6).values())
+    expected = sum(count_update(config, 17, 6).values())
     # torch leaves out last layers of one column, and takes gradients in observations as well
     assert counter.get_total_flops() == pytest.approx(expected, rel=0.05)
 
 
-def test_the_paper_s_one_step_agent_is_not_counted():
+def test_the_one_step_agent_of_the_paper_is_not_counted():
     with pytest.raises(ValueError, match=r"above 0 to be counted, got 0"):
-        update_operations(replace(SMALL, curiosity_discount=0.0), 3, 2)
+        count_update(SMALL.override(curiosity_discount=0.0), 3, 2)
 
 
 def test_importing_the_counts_leaves_the_precision_alone():

@@ -7,22 +7,22 @@ from deep_curiosity.benchmark.runners import Worker, import_runner, peak_megabyt
 
 def test_a_worker_computes_in_a_process_of_its_own():
     worker = Worker(list)
-    worker.ask("append", 3)
-    assert worker.ask("count", 3).value == 1
+    worker.call("append", 3)
+    assert worker.call("count", 3).value == 1
     worker.close()
 
 
-def test_a_package_that_is_missing_is_told():
+def test_a_missing_package_is_an_import_error():
     with pytest.raises(ImportError, match="no_such_package"):
         Worker(partial(import_runner, "no_such_package:Agent"))
 
 
-def test_stable_baselines_contends():
+def test_stable_baselines_steps():
     pytest.importorskip("stable_baselines3")
     address = "deep_curiosity.benchmark.stable_baselines:StableBaselines"
     worker = Worker(partial(import_runner, address, "MountainCarContinuous-v0"))
-    worker.ask("fill", 300)
-    assert worker.ask("step", 2).seconds > 0
+    worker.call("fill", 300)
+    assert worker.call("step", 2).seconds > 0
     worker.close()
 
 

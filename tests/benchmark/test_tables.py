@@ -5,10 +5,11 @@ from deep_curiosity.benchmark.tables import (
     rate_over,
     ratio,
     read_rows,
-    save_rows,
+    size_name,
     slope,
-    spread,
+    summarize,
 )
+from deep_curiosity.experiments.tables import write_table
 
 ROWS = [
     {"runner": name, "repeat": repeat, "steps_per_second": rate}
@@ -22,8 +23,13 @@ def test_slope_is_the_exponent_of_a_power_law():
     assert slope(values, [3 * value**1.5 for value in values]) == pytest.approx(1.5)
 
 
-def test_ratios_are_taken_within_a_turn():
-    assert spread(ROWS[:3], rate_over(ROWS, "theirs")) == "2 [1, 3]"
+def test_ratios_are_taken_within_a_round():
+    assert summarize(ROWS[:3], rate_over(ROWS, "theirs")) == "2 [1, 3]"
+
+
+def test_runners_may_stand_in_another_column():
+    rows = [{"switched_off": row["runner"], **row} for row in ROWS]
+    assert summarize(rows[:3], rate_over(rows, "theirs", "switched_off")) == "2 [1, 3]"
 
 
 def test_one_column_over_another():
@@ -36,9 +42,14 @@ def test_groups_keep_their_order():
 
 def test_rows_come_back_from_a_file_with_gaps_empty(tmp_path):
     path = tmp_path / "rows.csv"
-    save_rows(path, [{"name": "plain", "ms": 1.5}, {"name": "other", "megabytes": 3.0}])
+    write_table(path, [{"name": "plain", "ms": 1.5}, {"name": "other", "megabytes": 3.0}])
     assert read_rows(path) == [
         {"name": "plain", "ms": 1.5, "megabytes": ""},
         {"name": "other", "ms": "", "megabytes": 3.0},
     ]
     assert read_rows(tmp_path / "none.csv") == []
+
+
+def test_a_size_is_named_without_its_prefix():
+    assert size_name("num_members") == "members"
+    assert size_name("batch_size") == "batch size"

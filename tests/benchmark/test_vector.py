@@ -1,17 +1,17 @@
-from deep_curiosity.benchmark.page import write_page
-from deep_curiosity.benchmark.figures import draw_vector
-from deep_curiosity.benchmark.tables import save_rows
+from deep_curiosity.benchmark.figures import plot_vector
+from deep_curiosity.benchmark.run import write_page
 from deep_curiosity.benchmark.vector import measure_vector_environments
+from deep_curiosity.experiments.tables import write_table
 from deep_curiosity_envs import TASK_IDS
 
 
 def test_a_section_leaves_table_picture_and_page(tmp_path):
     rows = measure_vector_environments(TASK_IDS[:1], (1, 2), repeats=2, steps=6)
     assert len(rows) == 4
-    save_rows(tmp_path / "vector.csv", rows)
-    draw_vector(tmp_path / "vector.png", rows)
+    write_table(tmp_path / "vector.csv", rows)
+    plot_vector(tmp_path / "vector.png", rows)
     machine = {"section": "vector", "cpu": "some CPU", "cores": 2, "torch": "2.13"}
-    save_rows(
+    write_table(
         tmp_path / "machine.csv", [machine | {"precision": "highest", "command": "make bench"}]
     )
     write_page(tmp_path)

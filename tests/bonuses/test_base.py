@@ -14,53 +14,41 @@ from deep_curiosity.bonuses.registry import BONUSES as BY_NAME
 from deep_curiosity.bonuses.registry import make_bonus
 from deep_curiosity.transitions import Transition
 
-OPTIONS = {
-    "num_members": 2,
-    "members": "all",
-    "hidden_dims": (8,),
-    "components": 16,
-    "refresh_interval": 2,
-}
+CURIOSITY = {"num_members": 2, "components": 16, "refresh_interval": 2}
+SMALL = {"hidden_dims": (8,), "refresh_interval": 1}
 
 
-def curiosity(**options):
-    return CuriosityBonus.default(3, 2, **OPTIONS | options)
+def curiosity(members="all", **options):
+    return CuriosityBonus.default(3, 2, hidden_dims=(8,), members=members, **CURIOSITY | options)
 
 
 def curiosity_in_nats():
-    dynamics = DynamicsEnsemble(3, 2, num_members=2, members="all", hidden_dims=(8,))
+    dynamics = DynamicsEnsemble(3, 2, hidden_dims=(8,), num_members=2, members="all")
     marginal = NextStateMarginal(3, components=16)
     return CuriosityBonus(dynamics, marginal, center=False, scale=False, refresh_interval=2)
 
 
-def baseline(name, **options):
-    return make_bonus(name, 3, 2, **{"hidden_dims": (8,), "refresh_interval": 1} | options)
-
-
 BONUSES = {
     "curiosity": curiosity,
+    "curiosity, round-robin": lambda: curiosity("round_robin"),
     "curiosity in nats": curiosity_in_nats,
     "curiosity, tuned": lambda: curiosity(bandwidth="perplexity"),
     "curiosity, robust": lambda: curiosity(whitening="robust"),
-    "curiosity, mixtures": lambda: curiosity(model_mixture_components=2),
-    "curiosity, round-robin": lambda: curiosity(members="round_robin"),
-    "curiosity, tuned weight": lambda: curiosity(tune_bonus_weight="past"),
     "curiosity about an entry": lambda: curiosity(features=(-1,)),
     "curiosity about features": lambda: curiosity(
         features=torch.nn.Sequential(torch.nn.Linear(3, 4), torch.nn.Tanh())
     ),
     "information gain of curiosity": lambda: curiosity(bonus_parts={"information_gain": 1.0}),
     "constant": lambda: ConstantBonus(0.5),
-    "disagreement": lambda: baseline("disagreement", num_members=2),
-    "information-gain": lambda: baseline("information-gain", num_members=2),
-    "rnd": lambda: baseline("rnd", random_features=8),
-    "icm": lambda: baseline("icm", feature_dim=4),
-    "prediction error": lambda: ICMBonus(
-        3, 2, features="state", hidden_dims=(8,), refresh_interval=1
+    "disagreement": lambda: make_bonus("disagreement", 3, 2, num_members=2, **SMALL),
+    "information-gain": lambda: make_bonus("information-gain", 3, 2, num_members=2, **SMALL),
+    "rnd": lambda: make_bonus("rnd", 3, 2, random_features=8, **SMALL),
+    "icm": lambda: make_bonus("icm", 3, 2, feature_dim=4, **SMALL),
+    "prediction error": lambda: ICMBonus(3, 2, features="state", **SMALL),
+    "nearest-neighbours": lambda: make_bonus(
+        "nearest-neighbours", 3, 2, memory=64, neighbours=3, refresh_interval=1
     ),
-    "nearest-neighbours": lambda: baseline("nearest-neighbours", memory=64, neighbours=3),
-    "hash-count": lambda: baseline("hash-count", bits=8),
-    "rnd, seldom": lambda: baseline("rnd", random_features=8, refresh_interval=3),
+    "hash-count": lambda: make_bonus("hash-count", 3, 2, bits=8, refresh_interval=1),
 }
 
 
@@ -110,14 +98,14 @@ def test_each_pair_has_one_finite_bonus(bonus, batch):
     assert value.shape == (batch,) and value.isfinite().all() and value.dtype == torch.float32
 
 
-def test_the_same_pair_has_the_same_bonus(bonus):
+def test_the_same_pairs_have_the_same_bonus(bonus):
     batch = random_transition()
     assert compute(bonus, batch).equal(compute(bonus, batch))
 
 
 def test_a_pair_earns_the_same_in_any_company(bonus):
-    if getattr(getattr(bonus, "dynamics", None), "members", "all") == "round_robin":
-        pytest.skip("a pair is scored by the member that its place in the batch says")
+    if isinstance(bonus, CuriosityBonus) and bonus.dynamics.members == "round_robin":
+        pytest.skip("which member answers depends on the place in the batch")
     batch = random_transition()
     alone = torch.cat(
         [compute(bonus, Transition(*(field[i : i + 1] for field in batch))) for i in range(16)]
@@ -125,7 +113,7 @@ def test_a_pair_earns_the_same_in_any_company(bonus):
     torch.testing.assert_close(compute(bonus, batch), alone, atol=1e-4, rtol=1e-4)
 
 
-def test_computing_it_uses_no_random_numbers(bonus):
+def test_computing_it_samples_no_random_numbers(bonus):
     random_state = torch.get_rng_state()
     compute(bonus, random_transition_from(random_state))
     bonus.metrics()
@@ -178,13 +166,13 @@ def test_state_dict_is_all_there_is(make, bonus):
 
 
 def test_the_same_seed_makes_the_same_bonus(make):
-    values = []
+    answers = []
     for _ in range(2):
         torch.manual_seed(5)
         bonus = make()
         bonus.observe(random_transition())
-        values.append(compute(bonus, random_transition()))
-    assert values[0].equal(values[1])
+        answers.append(compute(bonus, random_transition()))
+    assert answers[0].equal(answers[1])
 
 
 def test_it_can_be_observed_with_a_policy(bonus):
@@ -200,7 +188,7 @@ def test_double_precision_goes_all_the_way(make):
     assert compute(bonus, batch).dtype == torch.float64
 
 
-def test_a_next_observation_is_required_or_left_aside(bonus):
+def test_next_observations_are_required_by_name_or_left_aside(bonus):
     batch = random_transition()
     if bonus.scores_outcomes:
         with pytest.raises(ValueError, match="`next_observation` must be given"):
@@ -228,7 +216,7 @@ def test_what_is_not_finite_is_rejected_and_changes_nothing(bonus, field):
     broken = random_transition()
     getattr(broken, field)[3, 0] = float("nan")
     for method in (bonus.loss, bonus.observe):
-        while method == bonus.observe and bonus.should_skip:
+        if method == bonus.observe and bonus.every.interval > 1:
             bonus.observe(random_transition())  # so that the next call looks at its batch
             before = {name: value.clone() for name, value in bonus.state_dict().items()}
         with pytest.raises(ValueError, match=f"`{field}` must be finite"):
@@ -237,18 +225,20 @@ def test_what_is_not_finite_is_rejected_and_changes_nothing(bonus, field):
     assert all(after[name].nan_to_num().equal(before[name].nan_to_num()) for name in before)
 
 
-def test_a_batch_that_may_be_skipped_would_have_left_no_trace(make):
+def state_of(bonus):
+    return {name: value.clone() for name, value in bonus.state_dict().items()}
+
+
+def test_a_batch_that_is_skipped_would_have_left_no_trace(make):
     bonus = make()
     skipping = deepcopy(bonus)
     num_shown = 0
     for _ in range(7):
         transition = random_transition()
-        torch.manual_seed(1)
         bonus.observe(transition)
         if skipping.should_skip:
             skipping.skip()
         else:
-            torch.manual_seed(1)
             skipping.observe(transition)
             num_shown += 1
         state, other = bonus.state_dict(), skipping.state_dict()
@@ -257,26 +247,43 @@ def test_a_batch_that_may_be_skipped_would_have_left_no_trace(make):
     assert num_shown == (0 if isinstance(bonus, ConstantBonus) else -(-7 // interval))
 
 
-def test_the_query_whether_to_skip_changes_nothing(make):
+@pytest.mark.parametrize("num_observed", range(4))
+def test_to_ask_whether_to_skip_changes_nothing(make, num_observed):
     bonus = make()
-    queried = deepcopy(bonus)
-    for _ in range(7):
-        before = deepcopy(queried.state_dict())
-        first = queried.should_skip
-        assert all(queried.should_skip is first for _ in range(5))
-        torch.testing.assert_close(queried.state_dict(), before, rtol=0, atol=0, equal_nan=True)
-        assert first is bonus.should_skip
-        transition = random_transition()
-        for one in (bonus, queried):
-            torch.manual_seed(1)
-            one.observe(transition)
+    for _ in range(num_observed):
+        bonus.observe(random_transition())
+    before = state_of(bonus)
+    answers = {bonus.should_skip for _ in range(10)}
+    assert len(answers) == 1
+    torch.testing.assert_close(state_of(bonus), before, rtol=0, atol=0, equal_nan=True)
 
 
 def test_only_curiosity_must_observe_before_it_is_ready(make):
-    bonus = make()
+    bonus, copy = make(), make()
     assert bonus.ready is not isinstance(bonus, CuriosityBonus)
     bonus.observe(random_transition())
     assert bonus.ready
-    restored = make()
-    restored.load_state_dict(bonus.state_dict())
-    assert restored.ready
+    copy.load_state_dict(bonus.state_dict())
+    assert copy.ready
+    assert compute(copy, random_transition()).isfinite().all()
+
+
+def test_it_can_be_observed_with_where_the_agent_has_been_of_late(make):
+    bonus, batch = make(), random_transition()
+    bonus.observe(batch, visited=random_transition(9))
+    bonus.observe(batch, lambda observation: torch.zeros(len(observation), 2), batch)
+    assert compute(bonus, batch).isfinite().all()
+
+
+def test_where_the_agent_has_been_of_late_matters_to_curiosity_alone(make):
+    bonus = make()
+    other = deepcopy(bonus)
+    batch, visited = random_transition(), random_transition()
+    for one, late in ((bonus, None), (other, visited)):
+        torch.manual_seed(2)
+        one.observe(batch, visited=late)
+    same = [
+        value.nan_to_num().equal(other.state_dict()[name].nan_to_num())
+        for name, value in bonus.state_dict().items()
+    ]
+    assert all(same) is not isinstance(bonus, CuriosityBonus)

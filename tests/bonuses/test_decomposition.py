@@ -3,7 +3,11 @@ import math
 import pytest
 import torch
 
-from deep_curiosity.bonuses.decomposition import DIVERGENCE, coefficients_of, information_gain
+from deep_curiosity.bonuses.decomposition import (
+    DIVERGENCE,
+    coefficients_of,
+    information_gain,
+)
 from deep_curiosity.gaussians import DiagonalMixture
 
 

@@ -21,10 +21,14 @@ def random_transition(batch, observation_dim=3, action_dim=2):
     return transition(observation, torch.rand(batch, action_dim) * 2 - 1, observation + change)
 
 
+def ensemble_of(observation_dim, action_dim, **options):
+    """All of two small models by default."""
+    default = {"num_members": 2, "members": "all", "hidden_dims": (8,)}
+    return DynamicsEnsemble(observation_dim, action_dim, **default | options)
+
+
 def small_ensemble(**options):
-    return DynamicsEnsemble(
-        3, 2, **{"num_members": 3, "members": "all", "hidden_dims": (8,)} | options
-    )
+    return ensemble_of(3, 2, **{"num_members": 3} | options)
 
 
 def gradients(ensemble, batch, seed=0):
@@ -35,11 +39,11 @@ def gradients(ensemble, batch, seed=0):
 
 
 def true_std(observation):
-    """Noise of the change in heteroscedastic data, in units of the observation."""
+    """Noise of the change in heteroscedastic transitions, in units of the observation."""
     return 0.1 + 0.5 * torch.sigmoid(3 * observation)
 
 
-def heteroscedastic_data(batch):
+def heteroscedastic_transitions(batch):
     """Two features of which the second is counted in a unit 50 times smaller."""
     observation = torch.randn(batch, 2)
     action = torch.rand(batch, 1) * 2 - 1
@@ -52,17 +56,15 @@ def heteroscedastic_data(batch):
 def fitted():
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        ensemble = DynamicsEnsemble(
-            2, 1, num_members=2, members="all", hidden_dims=(32, 32), noise_floor=1e-3
-        )
-        data = heteroscedastic_data(20_000)
-        ensemble.observe(data)
+        ensemble = ensemble_of(2, 1, hidden_dims=(32, 32), noise_floor=1e-3)
+        batch = heteroscedastic_transitions(20_000)
+        ensemble.observe(batch)
         optimizer = torch.optim.Adam(ensemble.parameters(), lr=1e-2, fused=True)
         schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, 500)
         for _ in range(500):
             rows = torch.randint(20_000, (512,))
             optimizer.zero_grad()
-            ensemble.loss(Transition(*(field[rows] for field in data))).backward()
+            ensemble.loss(Transition(*(field[rows] for field in batch))).backward()
             optimizer.step()
             schedule.step()
     return ensemble
@@ -92,16 +94,16 @@ def test_the_mean_of_least_loss_is_the_true_one(fitted):
 
 def test_coverage_of_a_fitted_ensemble_is_ninety_percent(fitted):
     fitted.held_out_coverage.fill_(math.nan)
-    fitted.loss(heteroscedastic_data(20_000))
+    fitted.loss(heteroscedastic_transitions(20_000))
     assert fitted.metrics()["model_coverage_90"].item() == pytest.approx(0.9, abs=0.03)
 
 
-def test_held_out_loss_of_a_fitted_ensemble_is_the_entropy_of_the_data(fitted, monkeypatch):
-    data = heteroscedastic_data(20_000)
+def test_held_out_loss_of_a_fitted_ensemble_is_the_entropy_of_the_environment(fitted, monkeypatch):
+    batch = heteroscedastic_transitions(20_000)
     monkeypatch.setattr(dynamics, "is_held_out", lambda *_: torch.arange(20_000) % 2 == 0)
     fitted.held_out_nll.fill_(math.nan)
-    fitted.loss(data)
-    std = true_std(data.observation / torch.tensor([1.0, 50.0])) * torch.tensor([1.0, 50.0])
+    fitted.loss(batch)
+    std = true_std(batch.observation / torch.tensor([1.0, 50.0])) * torch.tensor([1.0, 50.0])
     entropy = Normal(0, std / fitted.change_moments.scale).entropy().sum(-1).mean().item()
     assert fitted.metrics()["model_held_out_nll"].item() == pytest.approx(entropy, abs=0.08)
 
@@ -120,7 +122,7 @@ def test_negative_log_likelihood_agrees_with_torch_distributions():
 
 
 def test_predictions_by_hand_are_in_whitened_units_of_the_observation():
-    ensemble = DynamicsEnsemble(1, 1, num_members=2, hidden_dims=(), noise_floor=0.5)
+    ensemble = ensemble_of(1, 1, hidden_dims=(), noise_floor=0.5)
     for parameter in ensemble.parameters():
         parameter.data.zero_()
     ensemble.network.layers[0].bias.data[1, 0, 0] = 2.0  # the second member moves two stds
@@ -276,14 +278,14 @@ def test_rows_of_round_numbers_are_held_out_as_rarely_as_others(observation):
 
 @pytest.mark.parametrize("end", [0.0, 1.0, 4.0])
 def test_a_next_state_that_many_pairs_lead_to_is_learned(end):
-    """A corner, a rest, the end of an episode: holding out the state would hold out them all."""
-    ensemble = DynamicsEnsemble(1, 1, num_members=2, members="all", hidden_dims=(8,))
+    """A corner, a rest, an end of the room: holding out the state would hold out them all."""
+    ensemble = ensemble_of(1, 1, hidden_dims=(8,))
     ends = torch.full((200, 1), end, requires_grad=True)
     ensemble.loss(transition(torch.randn(200, 1), torch.rand(200, 1), ends)).backward()
     assert (ends.grad != 0).float().mean() > 0.5
 
 
-def test_each_member_may_be_given_a_batch_of_its_own():
+def test_each_member_may_predict_for_a_batch_of_its_own():
     ensemble = small_ensemble()
     observation, action = torch.randn(3, 5, 3), torch.randn(3, 5, 2)
     prediction = ensemble(observation, action)
@@ -327,7 +329,7 @@ def test_a_dimension_below_one_is_rejected(dims):
         DynamicsEnsemble(*dims)
 
 
-def coin_data(batch):
+def coin_transitions(batch):
     """The action says how likely a jump of one unit is; otherwise nothing moves."""
     observation, action = torch.randn(batch, 1), torch.rand(batch, 1) * 2 - 1
     jump = (torch.rand(batch, 1) < 0.5 * (1 + action)).float()
@@ -339,32 +341,30 @@ def gamblers():
     """Ensembles of one and of two mixture components, fitted to the coin."""
     with torch.random.fork_rng():
         torch.manual_seed(0)
-        return [fitted_to_coin(components) for components in (1, 2)]
+        return [fitted_to_coin(number) for number in (1, 2)]
 
 
-def fitted_to_coin(components):
-    ensemble = DynamicsEnsemble(
-        1, 1, num_members=2, members="all", mixture_components=components, hidden_dims=(32,)
-    )
-    data = coin_data(8_000)
-    ensemble.observe(data)
+def fitted_to_coin(mixture_components):
+    ensemble = ensemble_of(1, 1, mixture_components=mixture_components, hidden_dims=(32,))
+    batch = coin_transitions(8_000)
+    ensemble.observe(batch)
     optimizer = torch.optim.Adam(ensemble.parameters(), lr=1e-2, fused=True)
     for _ in range(500):
         rows = torch.randint(8_000, (256,))
         optimizer.zero_grad()
-        ensemble.loss(Transition(*(field[rows] for field in data))).backward()
+        ensemble.loss(Transition(*(field[rows] for field in batch))).backward()
         optimizer.step()
     return ensemble
 
 
-def test_two_components_fit_a_coin_that_one_gaussian_blurs(gamblers):
-    data = coin_data(4_000)
+def test_two_components_tell_a_coin_that_one_gaussian_blurs(gamblers):
+    batch = coin_transitions(4_000)
     with torch.no_grad():
-        one, two = (ensemble.negative_log_likelihood(data).mean() for ensemble in gamblers)
+        one, two = (ensemble.negative_log_likelihood(batch).mean() for ensemble in gamblers)
     assert two < one - 1.0
 
 
-def test_components_have_the_probabilities_of_the_coin(gamblers):
+def test_components_have_the_probabilities_of_the_environment(gamblers):
     action = torch.linspace(-0.9, 0.9, 19).unsqueeze(-1)
     observation = torch.zeros(19, 1)
     with torch.no_grad():
@@ -377,16 +377,16 @@ def test_components_have_the_probabilities_of_the_coin(gamblers):
 
 def test_a_calibrated_mixture_covers_ninety_percent(gamblers):
     gamblers[1].held_out_coverage.fill_(math.nan)
-    gamblers[1].loss(coin_data(20_000))
+    gamblers[1].loss(coin_transitions(20_000))
     assert gamblers[1].metrics()["model_coverage_90"].item() == pytest.approx(0.9, abs=0.05)
 
 
-def test_components_begin_apart():
+def test_mixture_components_begin_apart():
     loc = small_ensemble(mixture_components=3)(torch.zeros(4, 3), torch.zeros(4, 2)).loc
     assert (loc[:, :, 0] - loc[:, :, 2]).abs().mean() > 1
 
 
-def test_in_round_robin_order_each_member_learns_from_its_own_rows(monkeypatch):
+def test_in_round_robin_each_member_learns_from_its_own_rows(monkeypatch):
     monkeypatch.setattr(dynamics, "is_held_out", lambda rows: torch.arange(len(rows)) == 4)
     ensemble, batch = small_ensemble(members="round_robin"), random_transition(8)
     usual = gradients(ensemble, batch)
@@ -396,7 +396,7 @@ def test_in_round_robin_order_each_member_learns_from_its_own_rows(monkeypatch):
     assert differs.tolist() == [False, True, False]
 
 
-def test_in_round_robin_order_the_loss_is_right_on_average(monkeypatch):
+def test_in_round_robin_the_loss_is_right_on_average(monkeypatch):
     monkeypatch.setattr(dynamics, "is_held_out", lambda rows: torch.zeros(len(rows)) > 0)
     ensemble, batch = small_ensemble(members="round_robin"), random_transition(300)
     with torch.no_grad():
@@ -406,7 +406,7 @@ def test_in_round_robin_order_the_loss_is_right_on_average(monkeypatch):
     assert torch.stack(shuffled).mean().item() == pytest.approx(plain.item(), rel=0.01)
 
 
-def test_in_round_robin_order_held_out_rows_are_measured(monkeypatch):
+def test_in_round_robin_held_out_rows_are_measured(monkeypatch):
     monkeypatch.setattr(dynamics, "is_held_out", lambda rows: torch.arange(len(rows)) % 4 == 0)
     ensemble, batch = small_ensemble(members="round_robin"), random_transition(12)
     ensemble.loss(batch)
@@ -418,17 +418,17 @@ def test_in_round_robin_order_held_out_rows_are_measured(monkeypatch):
 def test_heavy_tails_leave_the_resolution_where_it_is_if_whitening_is_robust():
     observation = torch.distributions.StudentT(1.0).sample((4_000, 2))
     flag = torch.zeros(4_000, dtype=torch.bool)
-    data = Transition(
+    batch = Transition(
         observation, torch.zeros(4_000, 1), torch.zeros(4_000), observation + 1, flag, flag
     )
-    distances = {}
+    nearest = {}
     for whitening in ("moments", "robust"):
-        ensemble = DynamicsEnsemble(2, 1, num_members=2, hidden_dims=(8,), whitening=whitening)
-        ensemble.observe(data)
+        ensemble = ensemble_of(2, 1, hidden_dims=(8,), whitening=whitening)
+        ensemble.observe(batch)
         near = torch.tensor([[0.0, 0.0], [2.0, 2.0]])
         prediction = ensemble(near, torch.zeros(2, 1)).loc.mean(0).squeeze(1)
-        distances[whitening] = (prediction[1] - prediction[0]).abs().min()
-    assert distances["robust"] > 1 > 0.3 > distances["moments"]
+        nearest[whitening] = (prediction[1] - prediction[0]).abs().min()
+    assert nearest["robust"] > 1 > 0.3 > nearest["moments"]
 
 
 def test_a_whitening_that_is_none_is_rejected():
@@ -440,10 +440,8 @@ def test_a_whitening_that_is_none_is_rejected():
 
 def test_identity_as_features_predicts_what_whole_observations_do():
     torch.manual_seed(1)
-    whole = DynamicsEnsemble(3, 2, num_members=2, members="all", hidden_dims=(8,))
-    featured = DynamicsEnsemble(
-        3, 2, num_members=2, members="all", hidden_dims=(8,), features=torch.clone
-    )
+    whole = ensemble_of(3, 2, hidden_dims=(8,))
+    featured = ensemble_of(3, 2, hidden_dims=(8,), features=torch.clone)
     featured.network.load_state_dict(whole.network.state_dict())
     batch = random_transition(64)
     for ensemble in (whole, featured):
@@ -457,37 +455,30 @@ def test_identity_as_features_predicts_what_whole_observations_do():
 
 
 def test_features_of_the_next_state_are_predicted_in_their_own_units():
-    ensemble = DynamicsEnsemble(
-        1,
-        1,
-        num_members=2,
-        members="all",
-        hidden_dims=(32, 32),
-        features=lambda x: torch.cat([x**2, 100 * x], -1),
+    ensemble = ensemble_of(
+        1, 1, hidden_dims=(32, 32), features=lambda x: torch.cat([x**2, 100 * x], -1)
     )
     observation, action = torch.randn(2_000, 1), torch.rand(2_000, 1) * 2 - 1
-    data = transition(observation, action, observation + action)
-    ensemble.observe(data)
+    batch = transition(observation, action, observation + action)
+    ensemble.observe(batch)
     optimizer = torch.optim.Adam(ensemble.parameters(), lr=5e-3, fused=True)
     for _ in range(400):
         optimizer.zero_grad()
-        ensemble.loss(Transition(*(field[:512] for field in data))).backward()
+        ensemble.loss(Transition(*(field[:512] for field in batch))).backward()
         optimizer.step()
     prediction = ensemble(observation, action).loc.mean(0).squeeze(1)
-    reached = data.next_observation
+    reached = batch.next_observation
     moments = ensemble.feature_moments
     expected = moments.normalize(torch.cat([reached**2, 100 * reached], -1))
     near = (observation.abs() < 1).squeeze(-1)
     assert (prediction - expected)[near].abs().mean() < 0.1
 
 
-def test_features_are_given_batches_of_vectors_and_are_frozen():
+def test_features_are_given_batches_of_vectors_and_frozen():
     shapes = []
     module = torch.nn.Linear(3, 4)
     module.register_forward_pre_hook(lambda _, args: shapes.append(args[0].ndim))
-    ensemble = DynamicsEnsemble(
-        3, 2, num_members=2, members="round_robin", hidden_dims=(8,), features=module
-    )
+    ensemble = ensemble_of(3, 2, hidden_dims=(8,), features=module, members="round_robin")
     ensemble.loss(random_transition(64)).backward()
     assert set(shapes) == {2}
     assert module.weight.grad is None and not module.weight.requires_grad
@@ -497,27 +488,9 @@ def test_features_are_given_batches_of_vectors_and_are_frozen():
 def test_features_that_are_no_vectors_or_not_finite_are_rejected():
     with pytest.raises(ValueError, match=r"`features` must map observations \(2, 3\).*got \(2,\)"):
         DynamicsEnsemble(3, 2, features=lambda x: x.sum(-1))
-    ensemble = DynamicsEnsemble(
-        3, 2, num_members=2, members="all", hidden_dims=(8,), features=torch.log
-    )
+    ensemble = ensemble_of(3, 2, hidden_dims=(8,), features=torch.log)
     before = {name: value.clone() for name, value in ensemble.state_dict().items()}
     with pytest.raises(ValueError, match="`features` must be finite"):
         ensemble.observe(random_transition(64))
     after = ensemble.state_dict()
     assert all(before[name].nan_to_num().equal(after[name].nan_to_num()) for name in before)
-
-
-@pytest.mark.parametrize("batch", [1, 2, 7])
-def test_in_round_robin_order_each_row_is_predicted_by_one_member(batch):
-    ensemble = small_ensemble(mixture_components=2)
-    rows = random_transition(batch)
-    everyone = ensemble(rows.observation, rows.action)
-    one = ensemble.round_robin(rows.observation, rows.action)
-    for field, of_all in zip(one, everyone, strict=True):
-        expected = torch.stack([of_all[row % 3, row] for row in range(batch)]).unsqueeze(0)
-        torch.testing.assert_close(field, expected)
-
-
-def test_an_unknown_choice_of_members_is_rejected():
-    with pytest.raises((ValueError, TypeError), match="members"):
-        small_ensemble(members="best")

@@ -1,8 +1,8 @@
 import pytest
 import torch
 
+from deep_curiosity.bonuses import BonusLearner
 from deep_curiosity.bonuses.baselines import ConstantBonus
-from deep_curiosity.bonuses.learner import BonusLearner
 from deep_curiosity.bonuses.registry import make_bonus
 from deep_curiosity.transitions import Transition
 

@@ -14,10 +14,11 @@ def log_var_of(std, *shape):
     return torch.full(shape, 2 * math.log(std))
 
 
-def gaussians(loc, log_var):
-    """A prediction of one component for each place."""
-    weight = torch.zeros(*loc.shape[:-1], 1, dtype=loc.dtype)
-    return DiagonalMixture(loc.unsqueeze(-2), log_var.unsqueeze(-2), weight)
+def gaussian(loc, log_var):
+    """Predictions of one component."""
+    return DiagonalMixture(
+        loc.unsqueeze(-2), log_var.unsqueeze(-2), torch.zeros(*loc.shape[:-1], 1)
+    )
 
 
 def numbered(start, stop):
@@ -39,7 +40,7 @@ def test_silverman_bandwidth_by_hand():
     assert math.exp(silverman_log_bandwidth(64, 2)) == pytest.approx(0.5)
 
 
-def test_components_are_widened_by_the_bandwidth_times_their_deviation():
+def test_components_are_widened_by_the_bandwidth_times_their_std():
     marginal = NextStateMarginal(2, components=64)
     loc = torch.randn(64, 2) * torch.tensor([3.0, 0.1])
     marginal.refresh(loc, log_var_of(0.05, 64, 2))
@@ -83,21 +84,21 @@ def test_divergences_are_those_to_the_widened_mixture():
     loc, log_var = torch.randn(2, 5, 2)
     mixture = marginal.loc, marginal.component_log_var
     torch.testing.assert_close(
-        marginal.kl_upper(gaussians(loc, log_var)), kl_to_mixture_upper(loc, log_var, *mixture)
+        marginal.kl_upper(gaussian(loc, log_var)), kl_to_mixture_upper(loc, log_var, *mixture)
     )
     torch.testing.assert_close(
-        marginal.kl_lower(gaussians(loc, log_var)), kl_to_mixture_lower(loc, log_var, *mixture)
+        marginal.kl_lower(gaussian(loc, log_var)), kl_to_mixture_lower(loc, log_var, *mixture)
     )
 
 
 def test_a_bandwidth_closes_the_holes_of_a_mixture_of_spikes():
     spikes, elsewhere = torch.randn(2, 256, 17)
     sharp = log_var_of(0.05, 256, 17)
+    prediction = gaussian(elsewhere, sharp)
     with_bandwidth = NextStateMarginal(17)
     with_holes = NextStateMarginal(17, bandwidth=HOLES)
     for marginal in (with_bandwidth, with_holes):
         marginal.refresh(spikes, sharp)
-    prediction = gaussians(elsewhere, sharp)
     assert with_bandwidth.kl_upper(prediction).mean() < 100
     assert with_holes.kl_upper(prediction).mean() > 1_000
     gap = with_bandwidth.kl_upper(prediction) - with_bandwidth.kl_lower(prediction)
@@ -158,7 +159,7 @@ def test_components_weigh_alike_and_sum_to_one():
 def test_one_prediction_alone_is_the_whole_marginal():
     marginal = NextStateMarginal(2, components=4)
     marginal.refresh(torch.ones(1, 2), torch.zeros(1, 2))
-    divergence = marginal.kl_upper(gaussians(torch.ones(1, 2), torch.zeros(1, 2)))
+    divergence = marginal.kl_upper(gaussian(torch.ones(1, 2), torch.zeros(1, 2)))
     assert divergence.item() == pytest.approx(0, abs=1e-6)
 
 
@@ -167,7 +168,7 @@ def test_a_feature_in_which_all_components_agree_gets_no_width():
     loc = torch.stack([torch.randn(8), torch.zeros(8)], dim=-1)
     marginal.refresh(loc, log_var_of(0.1, 8, 2))
     torch.testing.assert_close(marginal.component_log_var[:, 1], log_var_of(0.1, 8))
-    assert marginal.kl_upper(gaussians(loc, log_var_of(0.1, 8, 2))).isfinite().all()
+    assert marginal.kl_upper(gaussian(loc, log_var_of(0.1, 8, 2))).isfinite().all()
 
 
 def test_it_is_empty_until_it_is_refreshed():
@@ -181,7 +182,7 @@ def test_all_state_is_in_the_state_dict():
     marginal, copy = (NextStateMarginal(1, components=8) for _ in range(2))
     marginal.refresh(*numbered(0, 11))
     copy.load_state_dict(marginal.state_dict())
-    probe = gaussians(torch.randn(5, 1), torch.randn(5, 1))
+    probe = gaussian(*torch.randn(2, 5, 1))
     assert copy.kl_upper(probe).equal(marginal.kl_upper(probe))
     for one in (marginal, copy):
         one.refresh(*numbered(11, 14))
@@ -227,7 +228,7 @@ def test_a_target_that_is_not_read_is_not_checked():
     assert NextStateMarginal(2, components=4, target_perplexity=8.0).is_empty
 
 
-def linear_gaussian(components, dim, signal, noise, **options):
+def linear_marginal(components, dim, signal, noise, **options):
     """A marginal of `x' = x + noise`, and the information that `x` carries about `x'`."""
     marginal = NextStateMarginal(dim, components=components, **options)
     marginal.refresh(signal * torch.randn(components, dim), log_var_of(noise, components, dim))
@@ -239,15 +240,15 @@ def linear_gaussian(components, dim, signal, noise, **options):
     [(200, 1, 0.1, 0.15), (200, 2, 0.3, 0.2), (8, 1, 0.3, 0.6)],
 )
 def test_information_lies_between_its_estimates_on_average(components, dim, noise, within):
-    problems = [linear_gaussian(components, dim, 1.0, noise) for _ in range(100)]
-    estimates = [marginal.information(torch.randn(4, components, dim)) for marginal, _ in problems]
+    pairs = [linear_marginal(components, dim, 1.0, noise) for _ in range(100)]
+    estimates = [marginal.information(torch.randn(4, components, dim)) for marginal, _ in pairs]
     lower, upper = (torch.stack(values).mean() for values in zip(*estimates, strict=True))
-    truth = problems[0][1]
+    truth = pairs[0][1]
     assert truth - within < lower < truth - 0.01 < truth + 0.01 < upper < truth + within
 
 
 def test_own_component_limits_the_lower_estimate_to_the_log_of_their_number():
-    marginal, truth = linear_gaussian(64, 10, 1.0, 0.01)
+    marginal, truth = linear_marginal(64, 10, 1.0, 0.01)
     lower, upper = marginal.information(torch.randn(2, 64, 10))
     assert lower.item() == pytest.approx(math.log(64), abs=1e-4) and lower < truth < upper
 

@@ -5,7 +5,7 @@ from tests.docs.pages import run_blocks
 PAGE = Path(__file__).parents[2] / "docs/integrations/check.md"
 
 
-def test_the_page_runs_as_written_and_tells_every_line_of_the_report():
+def test_the_page_runs_as_written_and_lists_every_line_of_the_report():
     report = run_blocks(PAGE)["report"]
     assert report.passed
     for finding in report.findings:

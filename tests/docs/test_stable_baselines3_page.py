@@ -16,6 +16,6 @@ def test_the_blocks_run_as_written():
     assert names["SAC"] is SAC
 
 
-def test_three_lines_are_told_for_each_kind_of_agent():
+def test_three_lines_are_shown_for_each_kind_of_agent():
     marked = [line[-3:] for line in PAGE.read_text().splitlines() if line[-3:-1] == "# "]
     assert marked == ["# 1", "# 2", "# 3"] * 2

@@ -21,6 +21,6 @@ def test_the_blocks_run_as_written():
     assert int(names["learner"].every.num_calls) > 0
 
 
-def test_four_lines_are_told_and_a_fifth_for_a_value_of_its_own():
+def test_four_lines_are_shown_and_a_fifth_for_a_value_of_its_own():
     marked = [line[-3:] for line in PAGE.read_text().splitlines() if line[-3:-1] == "# "]
     assert marked == ["# 1", "# 2", "# 3", "# 4", "# 1", "# 2", "# 3", "# 4", "# 5"]

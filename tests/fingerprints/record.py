@@ -4,7 +4,7 @@
     python tests/fingerprints/record.py after.csv    # on another, same machine
     diff before.csv after.csv
 
-A change that only moves code leaves the table as it is. Bits are the same on one class of CPU only.
+A change that only moves code leaves the table as it is. Bits are the same on one class of CPU.
 """
 
 import csv
@@ -33,13 +33,13 @@ from torchrl.modules import (
 from torchrl.objectives import SACLoss, SoftUpdate
 
 import deep_curiosity_envs  # noqa: F401  # registers the tasks
+from deep_curiosity.bonuses import BonusLearner, make_bonus
 from deep_curiosity.integrations.stable_baselines3 import (
     CuriosityCallback,
     CuriousReplayBuffer,
     CuriousRolloutBuffer,
 )
 from deep_curiosity.integrations.torchrl import CuriosityTransform, CuriousActorCriticLoss
-from deep_curiosity.bonuses import BonusLearner, make_bonus
 from deep_curiosity.training import Config, train
 from deep_curiosity.training.checkpoint import load_checkpoint
 
@@ -87,12 +87,16 @@ def trained(config: Config) -> tuple[float, str]:
         value
         for part in ("agent", "bonus")
         for name, value in learner[part].items()
-        if name.endswith((".weight", ".bias", "log_temperature", "prior.loc", "raw_log_std", "prior.logits"))
+        if name.endswith(
+            (".weight", ".bias", "log_temperature", "prior.loc", "raw_log_std", "prior.logits")
+        )
     ]
     return summary["evaluation_return"], weights_hash(weights)
 
 
-def stable_baselines3(kind: type, buffer: dict[str, object], **options: object) -> tuple[float, str]:
+def stable_baselines3(
+    kind: type, buffer: dict[str, object], **options: object
+) -> tuple[float, str]:
     """An agent of Stable-Baselines3 with a curious buffer."""
     model = kind(
         "MlpPolicy",

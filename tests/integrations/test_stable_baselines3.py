@@ -17,6 +17,8 @@ from stable_baselines3.common.utils import set_random_seed
 from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 from torch import Tensor, nn
 
+from deep_curiosity.bonuses.base import Bonus, Policy
+from deep_curiosity.bonuses.registry import BONUSES
 from deep_curiosity.integrations.stable_baselines3 import (
     CuriosityCallback,
     CuriousDictReplayBuffer,
@@ -27,19 +29,17 @@ from deep_curiosity.integrations.stable_baselines3 import (
     StableBaselinesIntegration,
     StableBaselinesOnPolicyIntegration,
 )
-from deep_curiosity.bonuses.base import Bonus, Policy
-from deep_curiosity.bonuses.registry import BONUSES
 from deep_curiosity.transitions import Transition
 
 SMALL = {
-    "bonus_kwargs": {"hidden_dims": (8,), "members": 2, "components": 8, "refresh_interval": 2}
+    "bonus_kwargs": {"hidden_dims": (8,), "num_members": 2, "components": 8, "refresh_interval": 2}
 }
 OFF_POLICY = [SAC, TD3, DDPG, TQC, CrossQ]
 TERMINATES_AFTER, CUT_OFF_AFTER = 3, 5
 
 
 class Clock(gymnasium.Env):
-    """Observes time and episode, pays the time; ends by itself and is cut off in turn."""
+    """Observes time and episode, pays the time; terminates and is cut off by turns."""
 
     action_space = spaces.Box(-2.0, 2.0, (1,))
     observation_space = spaces.Box(-1e6, 1e6, (2,))
@@ -82,7 +82,7 @@ class Time(Bonus):
         super().__init__()
         self.factor = nn.Parameter(torch.tensor(factor), requires_grad=learns)
         self.register_buffer("num_rows", torch.zeros(()))
-        self.seen: list[Transition] = []
+        self.observed: list[Transition] = []
         self.fresh_actions: list[Tensor] = []
 
     def forward(
@@ -93,9 +93,14 @@ class Time(Bonus):
     def loss(self, transition: Transition) -> Tensor:
         return -self.factor * 1.0
 
-    def observe(self, transition: Transition, policy: Policy | None = None) -> None:
+    def observe(
+        self,
+        transition: Transition,
+        policy: Policy | None = None,
+        visited: Transition | None = None,
+    ) -> None:
         self.num_rows += len(transition.reward)
-        self.seen.append(transition)
+        self.observed.append(transition)
         if policy is not None:
             self.fresh_actions.append(policy(transition.observation))
 
@@ -197,7 +202,7 @@ def test_a_sample_holds_reward_plus_bonus_and_leaves_the_stored_reward_alone() -
 def test_an_agent_whose_bonus_is_zero_is_the_plain_agent_bit_for_bit(kind: type) -> None:
     curious = make_agent(kind, options={"bonus": Time(0.0)}).learn(30, CuriosityCallback())
     plain = make_agent(kind, buffer=None, options={}).learn(30)
-    if kind is SAC:  # whose fresh actions draw random numbers
+    if kind is SAC:  # whose fresh actions take random numbers
         curious = make_agent(kind, options={"bonus": Time(0.0)}).learn(30)
     assert_equal(parameters(curious), parameters(plain))
 
@@ -208,7 +213,7 @@ def test_the_bonus_reaches_the_critic() -> None:
     assert any(not torch.equal(a, b) for a, b in zip(one, other, strict=True))
 
 
-def test_the_bonus_is_asked_after_it_has_learned_from_the_same_batch() -> None:
+def test_the_bonus_is_computed_after_it_has_learned_from_the_same_batch() -> None:
     bonus = Time(1.0, learns=True)
     buffer = filled(options={"bonus": bonus, "learning_rate": 0.5}).replay_buffer
     for factor in (1.5, 2.0):  # Adam's first steps are as long as the learning rate
@@ -229,22 +234,22 @@ def test_the_bonus_takes_gradient_steps_at_its_own_pace() -> None:
     assert bonus.num_rows == 40
 
 
-def test_the_bonus_sees_terminated_and_truncated_apart_and_the_true_successor() -> None:
+def test_the_bonus_is_given_the_true_end_of_each_episode() -> None:
     bonus = Time()
     filled(options={"bonus": bonus}).replay_buffer.sample(400)
-    (seen,) = bonus.seen
-    time, episode = seen.next_observation.T
-    assert torch.equal(seen.terminated, (episode % 2 == 0) & (time == TERMINATES_AFTER))
-    assert torch.equal(seen.truncated, (episode % 2 == 1) & (time == CUT_OFF_AFTER))
-    assert torch.equal(time, seen.observation[:, 0] + 1)
-    assert torch.equal(episode, seen.observation[:, 1])
-    assert seen.terminated.any() and seen.truncated.any()
+    (batch,) = bonus.observed
+    time, episode = batch.next_observation.T
+    assert torch.equal(batch.terminated, (episode % 2 == 0) & (time == TERMINATES_AFTER))
+    assert torch.equal(batch.truncated, (episode % 2 == 1) & (time == CUT_OFF_AFTER))
+    assert torch.equal(time, batch.observation[:, 0] + 1)
+    assert torch.equal(episode, batch.observation[:, 1])
+    assert batch.terminated.any() and batch.truncated.any()
 
 
-def test_the_bonus_sees_actions_between_minus_one_and_one() -> None:
+def test_the_bonus_is_given_actions_between_minus_one_and_one() -> None:
     bonus = Time()
     filled(options={"bonus": bonus}).replay_buffer.sample(400)
-    bound = bonus.seen[0].action.abs().max()
+    bound = bonus.observed[0].action.abs().max()
     assert 0.8 < bound <= 1.0  # the environment takes them up to 2
 
 
@@ -256,16 +261,16 @@ def test_each_row_gets_the_bonus_of_its_own_environment() -> None:
     assert len(torch.unique(time // 100)) == 3
 
 
-def test_under_normalisation_the_bonus_sees_raw_observations_and_is_added_after() -> None:
+def test_under_normalisation_the_bonus_is_raw_and_added_after() -> None:
     bonus = Time()
     agent = filled(env=VecNormalize(clocks(100.0)), options={"bonus": bonus})
     normalize = agent.get_vec_normalize_env()
     samples = agent.replay_buffer.sample(200, normalize)
-    (seen,) = bonus.seen
-    normalized = torch.tensor(normalize.normalize_reward(seen.reward.numpy()))
-    assert seen.observation[:, 0].min() >= 100
-    torch.testing.assert_close(seen.reward, seen.next_observation[:, 0] - 100)
-    torch.testing.assert_close(samples.rewards[:, 0], normalized + seen.observation[:, 0])
+    (batch,) = bonus.observed
+    normalized = torch.tensor(normalize.normalize_reward(batch.reward.numpy()))
+    assert batch.observation[:, 0].min() >= 100
+    torch.testing.assert_close(batch.reward, batch.next_observation[:, 0] - 100)
+    torch.testing.assert_close(samples.rewards[:, 0], normalized + batch.observation[:, 0])
     assert samples.observations.abs().max() <= 10
 
 
@@ -279,20 +284,27 @@ def test_fresh_actions_are_what_the_agent_would_do_at_the_batch() -> None:
     assert torch.equal(fresh, agent.actor(samples.observations))
 
 
-def test_without_the_callback_the_batch_speaks_for_the_agent() -> None:
+def test_without_the_callback_the_actions_of_the_batch_are_taken() -> None:
     bonus = Time()
     make_agent(options={"bonus": bonus}).learn(12)
-    assert bonus.seen and not bonus.fresh_actions
+    assert bonus.observed and not bonus.fresh_actions
 
 
 def test_the_policy_is_known_at_the_batch_only() -> None:
     class Curious(Time):
-        def observe(self, transition: Transition, policy: Policy | None = None) -> None:
+        def observe(
+            self,
+            transition: Transition,
+            policy: Policy | None = None,
+            visited: Transition | None = None,
+        ) -> None:
             assert policy is not None
             policy(transition.next_observation)
 
     agent = make_agent(options={"bonus": Curious()})
-    with pytest.raises(ValueError, match=r"`policy` must be asked at `transition\.observation`"):
+    with pytest.raises(
+        ValueError, match=r"`policy` must be called with `transition\.observation`"
+    ):
         agent.learn(12, CuriosityCallback())
 
 
@@ -342,11 +354,11 @@ def test_several_steps_without_bonus_are_those_of_the_library() -> None:
     zero = options | {"bonus": Time(0.0)}
     curious = filled(buffer=CuriousNStepReplayBuffer, options=zero, **settings)
     plain = filled(buffer=NStepReplayBuffer, options=options, **settings)
-    drawn = []
+    samples = []
     for agent in (curious, plain):
         set_random_seed(1)
-        drawn.append([*agent.replay_buffer.sample(200), *agent.replay_buffer.sample(200)])
-    assert_equal(*drawn)
+        samples.append([*agent.replay_buffer.sample(200), *agent.replay_buffer.sample(200)])
+    assert_equal(*samples)
 
 
 def test_an_agent_learns_from_several_steps() -> None:
@@ -366,7 +378,7 @@ def test_several_steps_refuse_another_discount_than_the_agents() -> None:
 # dictionaries
 
 
-def test_of_a_dictionary_the_bonus_sees_one_entry() -> None:
+def test_of_a_dictionary_the_bonus_is_given_one_entry() -> None:
     bonus = Time()
     agent = make_agent(
         env=VecNormalize(clocks(0.0, 100.0, kind=TwoClocks)),
@@ -378,7 +390,7 @@ def test_of_a_dictionary_the_bonus_sees_one_entry() -> None:
     samples = agent.replay_buffer.sample(200)
     time = samples.observations["clock"][:, :1]
     torch.testing.assert_close(samples.rewards, time % 100 + 1 + time)
-    assert bonus.seen[-1].observation.shape == (200, 2)
+    assert bonus.observed[-1].observation.shape == (200, 2)
     assert bonus.fresh_actions[0].shape == (16, 1)
 
 
@@ -391,12 +403,14 @@ def test_a_loaded_buffer_goes_on_bit_for_bit(tmp_path: Path) -> None:
     other = make_agent(options=SMALL)
     other.load_replay_buffer(tmp_path / "buffer.pkl")
     agent.replay_buffer.attachment.actor = None  # the agent is not saved with the buffer
-    drawn = []
+    samples = []
     for buffer in (agent.replay_buffer, other.replay_buffer):
         set_random_seed(1)
-        drawn.append([buffer.sample(16).rewards for _ in range(5)])
-    assert_equal(*drawn)
-    states = [b.attachment.learner.state_dict() for b in (agent.replay_buffer, other.replay_buffer)]
+        samples.append([buffer.sample(16).rewards for _ in range(5)])
+    assert_equal(*samples)
+    states = [
+        b.attachment.learner.state_dict() for b in (agent.replay_buffer, other.replay_buffer)
+    ]
     assert states[0].keys() == states[1].keys()
     assert_equal(*(list(state.values()) for state in states))
 
@@ -446,10 +460,10 @@ def test_the_callback_logs_the_bonus_with_the_librarys_own_logs() -> None:
     dumps = logged(make_agent(), 30, CuriosityCallback(log_interval=1))
     assert dumps[-1]["curiosity/factor"] == 1.0
     assert dumps[-1]["curiosity/bonus"] > 0
-    assert "curiosity/bonus" not in dumps[0]  # the bonus has seen nothing yet
+    assert "curiosity/bonus" not in dumps[0]  # the bonus has observed nothing yet
 
 
-def test_the_callback_logs_no_more_often_than_asked() -> None:
+def test_the_callback_logs_no_more_often_than_its_interval() -> None:
     dumps = logged(make_agent(), 40, CuriosityCallback(log_interval=1_000))
     assert sum("curiosity/bonus" in dump for dump in dumps) == 1
 
@@ -459,10 +473,10 @@ def test_the_callback_logs_no_more_often_than_asked() -> None:
 
 def reference_advantages(rewards: list[float], ends: list[bool], discount: float) -> list[float]:
     """Advantages where all values are zero: sums discounted by `discount` within the episode."""
-    advantages, following = [], 0.0
+    advantages, later = [], 0.0
     for reward, end in zip(reversed(rewards), reversed(ends), strict=True):
-        following = reward + (0.0 if end else discount * following)
-        advantages.append(following)
+        later = reward + (0.0 if end else discount * later)
+        advantages.append(later)
     return advantages[::-1]
 
 
@@ -482,7 +496,7 @@ def test_advantages_come_from_reward_plus_bonus_and_rewards_stay() -> None:
 
 
 @pytest.mark.parametrize("kind", [PPO, A2C])
-def test_rollouts_know_the_true_successor_and_how_an_episode_ended(kind: type) -> None:
+def test_rollouts_hold_the_true_next_observation_and_how_an_episode_ended(kind: type) -> None:
     agent = make_rollout_agent(clocks(0.0, 100.0), kind)
     agent.learn(40, callback=CuriosityCallback())
     rollout = agent.rollout_buffer.transition()
@@ -508,9 +522,9 @@ def test_rollouts_clip_actions_and_scale_them() -> None:
     agent.train = lambda: None
     agent.learn(20, callback=CuriosityCallback())
     buffer = agent.rollout_buffer
-    drawn = torch.tensor(buffer.actions[:, 0])
-    torch.testing.assert_close(buffer.transition().action, drawn.clamp(-2, 2) / 2)
-    assert drawn.abs().max() > 2
+    sampled = torch.tensor(buffer.actions[:, 0])
+    torch.testing.assert_close(buffer.transition().action, sampled.clamp(-2, 2) / 2)
+    assert sampled.abs().max() > 2
 
 
 def test_rollouts_are_raw_under_normalisation() -> None:
@@ -523,7 +537,7 @@ def test_rollouts_are_raw_under_normalisation() -> None:
     assert not np.allclose(agent.rollout_buffer.rewards.max(), CUT_OFF_AFTER)
 
 
-def test_of_a_dictionary_in_a_rollout_the_bonus_sees_one_entry() -> None:
+def test_of_a_dictionary_in_a_rollout_the_bonus_is_given_one_entry() -> None:
     bonus = Time()
     agent = make_rollout_agent(
         TwoClocks(), policy="MultiInputPolicy", bonus=bonus, observation_key="clock"
@@ -537,8 +551,8 @@ def test_the_bonus_goes_through_a_rollout_in_minibatches() -> None:
     bonus = Time()
     agent = make_rollout_agent(bonus=bonus, batch_size=8, epochs=3)
     agent.learn(20, callback=CuriosityCallback())
-    assert [len(batch.reward) for batch in bonus.seen] == [8, 8, 4] * 3
-    times = torch.cat([batch.observation[:, 0] for batch in bonus.seen[:3]])
+    assert [len(batch.reward) for batch in bonus.observed] == [8, 8, 4] * 3
+    times = torch.cat([batch.observation[:, 0] for batch in bonus.observed[:3]])
     assert torch.equal(
         times.sort().values, agent.rollout_buffer.transition().observation[:, 0].sort().values
     )
@@ -613,7 +627,7 @@ class Discrete(Clock):
         ),
         (lambda: make_agent(options={"bonus": "boredom"}), "`bonus` must be one of .*'boredom'"),
         (
-            lambda: make_agent(options={"bonus": Time(), "bonus_kwargs": {"weight": 1.0}}),
+            lambda: make_agent(options={"bonus": Time(), "bonus_kwargs": {"bonus_weight": 1.0}}),
             "`bonus_kwargs` is for a bonus given by name",
         ),
         (lambda: make_agent(options={"learning_rate": 0.0}), "`learning_rate` must be positive"),
@@ -627,6 +641,14 @@ def test_what_cannot_work_is_refused_at_the_door(make: Callable[[], Any], messag
         make()
 
 
+def test_an_unknown_setting_of_the_bonus_is_answered_with_those_there_are() -> None:
+    for name in ("members_per_row", "hidden_dim", "weight"):
+        with pytest.raises(
+            TypeError, match=f"`{name}` is no setting here; .*members.*hidden_dims"
+        ):
+            make_agent(options={"bonus_kwargs": {name: 2}})
+
+
 def test_a_bonus_must_be_a_name_or_a_bonus() -> None:
     with pytest.raises(TypeError, match="bonus"):
         make_agent(options={"bonus": Time})
@@ -637,7 +659,7 @@ def test_the_callback_refuses_an_agent_without_a_curious_buffer() -> None:
         make_agent(buffer=None, options={}).learn(1, callback=CuriosityCallback())
 
 
-# the check's view
+# as the check handles it
 
 
 @pytest.mark.parametrize("kind", [SAC, TD3])
@@ -652,7 +674,7 @@ def test_what_is_stored_is_what_the_environments_gave(kind: type, normalized: bo
         torch.testing.assert_close(one, other, atol=1e-5, rtol=1e-5)
 
 
-def test_a_full_buffer_is_told_oldest_first() -> None:
+def test_a_full_buffer_is_read_oldest_first() -> None:
     integration = StableBaselinesIntegration(make_agent(), Clock)
     truth = integration.collect(130, seed=0)
     newest = Transition(*(field[-100:] for field in truth))
@@ -694,6 +716,8 @@ def test_a_loaded_integration_learns_and_collects_the_same(kind: str, tmp_path: 
     integration.save(tmp_path)
     loaded = integration.load(tmp_path)
     assert loaded.bonus is not integration.bonus
+    if kind != "PPO":  # whose rollout needs no fresh actions
+        assert loaded.model.replay_buffer.attachment.actor is not None
     for one, other in zip(integration.stored(), loaded.stored(), strict=True):
         assert torch.equal(one, other)
     for each in (integration, loaded):

@@ -1,4 +1,4 @@
-"""Laws of the torchrl adapter, with bonuses whose answers are known."""
+"""Laws of the torchrl adapter, with bonuses whose values are known."""
 
 import sys
 import warnings
@@ -19,7 +19,11 @@ from torchrl.modules import NormalParamExtractor, ProbabilisticActor, TanhNormal
 from torchrl.objectives import HardUpdate, SACLoss, SoftUpdate, ValueEstimators
 
 import deep_curiosity_envs  # noqa: F401  # registers the tasks
+from deep_curiosity.bonuses.base import Bonus, Policy
+from deep_curiosity.bonuses.curiosity import CuriosityBonus
+from deep_curiosity.bonuses.learner import BonusLearner
 from deep_curiosity.integrations import requirements
+from deep_curiosity.integrations.check import check_integration
 from deep_curiosity.integrations.torchrl import (
     BonusLoss,
     CuriosityTransform,
@@ -28,10 +32,6 @@ from deep_curiosity.integrations.torchrl import (
     TorchRLIntegration,
 )
 from deep_curiosity.integrations.torchrl.integration import total_loss
-from deep_curiosity.bonuses.base import Bonus, Policy
-from deep_curiosity.bonuses.registry import BonusLearner
-from deep_curiosity.integrations.check import check_integration
-from deep_curiosity.bonuses.curiosity import CuriosityBonus
 from deep_curiosity.transitions import Transition
 
 with warnings.catch_warnings():  # at import they warn of classes of their own
@@ -54,7 +54,7 @@ class LevelBonus(Bonus):
         super().__init__()
         self.level = nn.Parameter(torch.tensor(level))
         self.slope = slope
-        self.seen: list[Transition] = []
+        self.observed: list[Transition] = []
         self.fresh: list[Tensor] = []
 
     def forward(
@@ -65,8 +65,13 @@ class LevelBonus(Bonus):
     def loss(self, transition: Transition) -> Tensor:
         return (self.level - 1).square()
 
-    def observe(self, transition: Transition, policy: Policy | None = None) -> None:
-        self.seen.append(transition)
+    def observe(
+        self,
+        transition: Transition,
+        policy: Policy | None = None,
+        visited: Transition | None = None,
+    ) -> None:
+        self.observed.append(transition)
         if policy is not None:
             self.fresh.append(policy(transition.observation))
 
@@ -118,7 +123,7 @@ def make_networks() -> tuple[ProbabilisticActor, ValueOperator]:
 def make_batch(*shape: int) -> TensorDict:
     shape = shape or (BATCH,)
     flags = torch.zeros(*shape, 1, dtype=torch.bool)
-    following = {
+    outcome = {
         "observation": torch.randn(*shape, 3),
         "reward": torch.randn(*shape, 1),
         "terminated": flags,
@@ -129,7 +134,7 @@ def make_batch(*shape: int) -> TensorDict:
         {
             "observation": torch.randn(*shape, 3),
             "action": 2 * torch.rand(*shape, 1) - 1,
-            "next": following,
+            "next": outcome,
         },
         batch_size=shape,
     )
@@ -152,7 +157,7 @@ def make_loss(make: Callable = CuriousActorCriticLoss, *parts: object, **options
 
 
 def small_curiosity() -> CuriosityBonus:
-    return CuriosityBonus(3, 1, hidden_dims=(8,), components=8, members=2)
+    return CuriosityBonus.default(3, 1, hidden_dims=(8,), components=8, num_members=2)
 
 
 def read_batch(batch: TensorDict) -> Transition:
@@ -197,13 +202,13 @@ def test_learner_learns_at_each_sample_at_its_own_pace():
     replay = make_replay(CuriosityTransform(learner), make_batch())
     levels = [replay.sample()["next", "curiosity"][0].item() for _ in range(4)]
     assert levels == pytest.approx([0.625, 0.625, 0.75, 0.75], abs=5e-3)  # Adam steps by its rate
-    assert len(bonus.seen) == 4
+    assert len(bonus.observed) == 4
 
 
 def test_bonus_alone_learns_nothing():
     bonus = LevelBonus(0.5)
     make_replay(CuriosityTransform(bonus), make_batch()).sample()
-    assert bonus.seen == [] and bonus.level.item() == 0.5
+    assert bonus.observed == [] and bonus.level.item() == 0.5
 
 
 def test_policy_gives_the_bonus_fresh_actions_in_the_unit_box():
@@ -293,8 +298,8 @@ def test_environment_keeps_its_specs():
 def test_environment_writes_the_bonus_of_each_step_beside_the_raw_reward():
     env = TransformedEnv(make_env(), CuriosityTransform(LevelBonus(0.5, slope=1.0)))
     plain = make_env()
-    for world in (env, plain):
-        world.set_seed(0)
+    for each in (env, plain):
+        each.set_seed(0)
     torch.manual_seed(0)
     rollout = env.rollout(5)
     torch.manual_seed(0)
@@ -313,7 +318,7 @@ def test_environment_learns_nothing_and_waits_for_the_first_observation():
     assert env.rollout(5)["next", "curiosity"].abs().max() > 0
 
 
-def test_environment_of_several_worlds_has_one_bonus_for_each():
+def test_several_environments_have_one_bonus_each():
     env = TransformedEnv(SerialEnv(3, make_env), CuriosityTransform(LevelBonus(0.0, slope=1.0)))
     check_env_specs(env)
     rollout = env.rollout(4)
@@ -327,9 +332,9 @@ def test_environment_of_several_worlds_has_one_bonus_for_each():
 def test_bonus_loss_is_that_of_the_bonus_and_shows_it_the_batch():
     bonus = LevelBonus(0.5)
     assert BonusLoss(bonus)(make_batch())["loss_bonus"].item() == 0.25
-    assert len(bonus.seen) == 1
+    assert len(bonus.observed) == 1
     BonusLoss(bonus, observe=False)(make_batch())
-    assert len(bonus.seen) == 1
+    assert len(bonus.observed) == 1
 
 
 def test_bonus_loss_trains_the_bonus_by_any_optimizer():
@@ -341,14 +346,14 @@ def test_bonus_loss_trains_the_bonus_by_any_optimizer():
     assert bonus.level.item() == 0.75  # 0.5 - 0.25 * 2 * (0.5 - 1)
 
 
-def test_bonus_loss_reads_the_keys_it_is_told():
+def test_bonus_loss_reads_the_keys_it_is_given():
     batch = make_batch()
     batch["push"] = batch.pop("action")
     bonus = LevelBonus()
     loss = BonusLoss(bonus, policy=None)
     loss.set_keys(action="push")
     loss(batch)
-    assert torch.equal(bonus.seen[0].action, batch["push"])
+    assert torch.equal(bonus.observed[0].action, batch["push"])
     assert "push" in loss.in_keys
 
 
@@ -397,7 +402,7 @@ def test_curiosity_critics_learn_the_bonus_under_a_discount_of_their_own():
     loss.make_value_estimator(gamma=0.0)
     batch = make_batch()
     batch["next", "terminated"][: BATCH // 2] = True
-    # errors 2 - 0.5 where the world ended, 2 - (0.5 + 0.97 * 3) elsewhere; two critics
+    # errors 2 - 0.5 where the episode terminated, 2 - (0.5 + 0.97 * 3) elsewhere; two critics
     expected = 2 * 0.5 * (1.5**2 + 1.41**2)
     assert loss(batch)["loss_curiosity"].item() == pytest.approx(expected, rel=1e-4)
 
@@ -466,7 +471,7 @@ def test_a_huge_bonus_moves_the_actor():
     assert policy.get_dist(batch.clone()).deterministic_sample.mean().item() > max(before, 0.5)
 
 
-def test_without_curiosity_discount_the_actor_climbs_the_bonus_itself():
+def test_without_curiosity_discount_the_actor_maximises_the_bonus_itself():
     steep = make_loss(CuriousActorCriticLoss, LevelBonus(0.0, slope=1.0), curiosity_discount=0.0)
     level = make_loss(CuriousActorCriticLoss, LevelBonus(0.5), curiosity_discount=0.0)
     plain = make_loss()
@@ -500,7 +505,7 @@ def test_information_cost_does_not_depend_on_the_unit_of_actions():
         torch.manual_seed(1)
         loss = CuriousActorCriticLoss(actor, critic, prior="learned")
         torch.manual_seed(2)
-        costs.append(loss._draw(make_batch()).information_cost)
+        costs.append(loss._sample(make_batch()).information_cost)
     assert torch.allclose(*costs, atol=1e-3)
 
 
@@ -514,7 +519,7 @@ def test_information_cost_is_zero_where_policy_and_prior_are_one():
         loss.actor_network_params["module", "0", "module", "0", "bias"][1] = (
             std.expm1().log() - torch.tensor(1.0).expm1().log()
         )
-    cost = loss._draw(make_batch(256)).information_cost
+    cost = loss._sample(make_batch(256)).information_cost
     assert cost.abs().max() < 0.25  # the prior keeps a tenth for the uniform density
 
 
@@ -526,7 +531,7 @@ def test_temperature_rises_while_the_rate_is_above_target():
             assert gradient.sign() == sign
 
 
-def test_losses_read_the_keys_they_are_told():
+def test_losses_read_the_keys_they_are_given():
     batch = make_batch()
     renamed = batch.clone()
     renamed["next", "pay"] = renamed["next"].pop("reward")
@@ -554,7 +559,7 @@ def test_td_error_is_written_for_prioritized_replay():
     assert batch["td_error"].shape == (BATCH,)
 
 
-def test_curiosity_that_knows_nothing_yet_counts_as_zero():
+def test_curiosity_that_is_not_ready_counts_as_zero():
     for discount in (0.0, 0.97):
         loss = make_loss(CuriousActorCriticLoss, small_curiosity(), curiosity_discount=discount)
         assert total_loss(loss(make_batch())).isfinite()
@@ -752,7 +757,7 @@ def test_options_that_mean_nothing_here_are_refused():
         make_loss(CuriousActorCriticLoss, target_entropy=-1.0)
 
 
-def test_a_missing_library_is_told_with_the_command(monkeypatch: pytest.MonkeyPatch):
+def test_a_missing_library_is_reported_with_the_command(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setitem(sys.modules, "torchrl", None)
     package = import_module("deep_curiosity.integrations.torchrl")
     with pytest.raises(ImportError, match=r"pip install 'deep-curiosity\[torchrl\]'"):
@@ -773,7 +778,7 @@ def assert_same_state(first: dict[str, Tensor], second: dict[str, Tensor]) -> No
 
 
 def zero_last_layers(params: TensorDict, bias: float) -> None:
-    """Make every critic answer one number."""
+    """Make every critic return one number."""
     with torch.no_grad():
         params["module", "network", "2", "weight"].zero_()
         params["module", "network", "2", "bias"].fill_(bias)

@@ -43,7 +43,7 @@ def test_numbers_of_another_kind_are_other_inputs():
         assert actual.dtype == expected.dtype and actual.equal(expected)
 
 
-def test_draws_stay_apart():
+def test_samples_stay_apart():
     def function(value):
         return torch.randn_like(value) - torch.randn_like(value)
 
@@ -66,29 +66,29 @@ def test_all_that_is_returned_is_returned_apart():
     assert one.data_ptr() != other.data_ptr()
 
 
-class BonusFunction(nn.Module):
-    """A bonus that is asked, and then learns, as in the update of a curious agent."""
+class ComputedAndLearned(nn.Module):
+    """A bonus that is computed, and then learns, as in the update of a curious agent."""
 
     def __init__(self, **options):
         super().__init__()
-        self.bonus = CuriosityBonus(3, 2, hidden_dims=(8, 8), members=2, **options)
+        self.bonus = CuriosityBonus.default(3, 2, hidden_dims=(8, 8), num_members=2, **options)
 
     def forward(self, transition):
-        asked = self.bonus(transition.observation, transition.action).detach()
-        return asked, self.bonus.loss(transition)
+        value = self.bonus(transition.observation, transition.action).detach()
+        return value, self.bonus.loss(transition)
 
 
-@pytest.mark.parametrize("member_per_row", [False, True])
-def test_the_models_are_asked_by_the_pass_that_they_learn_from(monkeypatch, member_per_row):
-    asked, flags = BonusFunction(member_per_row=member_per_row), torch.zeros(7, dtype=torch.bool)
+@pytest.mark.parametrize("members", ["all", "round_robin"])
+def test_the_bonus_takes_the_pass_that_the_models_learn_from(monkeypatch, members):
+    module, flags = ComputedAndLearned(members=members), torch.zeros(7, dtype=torch.bool)
     transition = Transition(
         torch.randn(7, 3), torch.rand(7, 2), torch.zeros(7), torch.randn(7, 3), flags, flags
     )
-    asked.bonus.observe(transition)
-    state = dict(asked.named_parameters()) | dict(asked.named_buffers())
+    module.bonus.observe(transition)
+    state = dict(module.named_parameters()) | dict(module.named_buffers())
     # as in a graph, which looks at no values
     monkeypatch.setattr(torch.compiler, "is_compiling", lambda: True)
-    before, after = traced(partial(functional_call, asked), state, (transition,))
+    before, after = traced(partial(functional_call, module), state, (transition,))
     assert (count(before, "bmm"), count(after, "bmm")) == (6, 3)
 
 

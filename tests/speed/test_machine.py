@@ -1,25 +1,69 @@
 import shutil
-from dataclasses import replace
 
 import pytest
 import torch
 
-from deep_curiosity import precision
-from deep_curiosity.speed.precision import FLOAT32_ERROR, matmul_error, matmul_is_float32
-from deep_curiosity.training import Settings, machine, train
-from deep_curiosity.training.learner import Learner
+from deep_curiosity.speed import machine
+from deep_curiosity.speed.config import SpeedConfig
 from deep_curiosity.speed.machine import (
     choose_matmul_precision,
+    fitted_machine,
     matmul_rate,
-    prepare_machine,
     should_compile,
 )
-from deep_curiosity.training.log import read_settings
+from deep_curiosity.training import Config, continue_run, train
+from deep_curiosity.training.learner import Learner, compiles
+from deep_curiosity.training.log import read_config
+from deep_curiosity.training.run import open_run
 
 
-def test_the_highest_precision_is_float32():
+@pytest.fixture
+def other_settings():
+    """Threads and precision that no run would choose."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(3)
+    torch.set_float32_matmul_precision("medium")
+    yield 3, "medium"
+    torch.set_num_threads(threads)
+
+
+def settings_of_torch():
+    return torch.get_num_threads(), torch.get_float32_matmul_precision()
+
+
+def test_a_machine_is_fitted_inside_the_block_alone(other_settings):
+    speed = SpeedConfig(threads=2, matmul_precision="high", keep_memory=False)
+    for _ in range(2):
+        with fitted_machine(speed) as precision:
+            assert precision == "high" and settings_of_torch() == (2, "high")
+        assert settings_of_torch() == other_settings
+
+
+@pytest.mark.parametrize("keep_memory", [False, True])
+def test_a_machine_is_restored_also_when_the_block_raises(other_settings, keep_memory):
+    speed = SpeedConfig(threads=2, matmul_precision="high", keep_memory=keep_memory)
+    with pytest.raises(RuntimeError, match="inside"), fitted_machine(speed):
+        raise RuntimeError("inside")
+    assert settings_of_torch() == other_settings
+
+
+def test_a_machine_is_restored_also_when_no_precision_can_be_chosen(other_settings, monkeypatch):
+    def fail(device):
+        raise RuntimeError("measuring")
+
+    monkeypatch.setattr(machine, "matmul_error", fail)
+    speed = SpeedConfig(threads=2, matmul_precision="auto", keep_memory=False)
+    with pytest.raises(RuntimeError, match="measuring"), fitted_machine(speed):
+        pass
+    assert settings_of_torch() == other_settings
+
+
+def test_a_precision_that_is_named_is_taken_without_measuring_any(monkeypatch):
+    monkeypatch.setattr(machine, "matmul_rate", lambda device: pytest.fail("measured"))
     torch.set_float32_matmul_precision("highest")
-    assert matmul_is_float32() and 0 < matmul_error() < 1e-6
+    for wanted in ("highest", "high", "medium"):
+        assert choose_matmul_precision(wanted) == wanted
+        assert torch.get_float32_matmul_precision() == "highest"
 
 
 def test_the_precision_asked_for_is_taken():
@@ -37,16 +81,12 @@ def test_the_fastest_precision_is_taken_that_is_float32(monkeypatch):
     assert switch() == before
 
 
-def test_products_that_are_not_float32_are_noticed(monkeypatch):
-    monkeypatch.setattr(precision, "_measured_error", lambda switch, device: 10 * FLOAT32_ERROR)
-    assert not matmul_is_float32()
-
-
-def test_a_run_says_what_it_does_with_the_machine(capsys):
-    assert prepare_machine(Settings(matmul_precision="high", total_steps=100)) == "high"
+def test_a_run_says_what_it_does_with_the_machine(capsys, tiny):
+    with open_run(tiny.override(matmul_precision="high")) as run:
+        assert run.config.speed.matmul_precision == "high"
+        assert torch.get_float32_matmul_precision() == "high"
     said = capsys.readouterr().out
     assert said.startswith("Matrix products high, relative error ") and "updates eager" in said
-    assert torch.get_float32_matmul_precision() == "high"
 
 
 def test_a_resumed_run_keeps_the_precision_that_was_fastest_when_it_began(monkeypatch, tiny):
@@ -57,12 +97,15 @@ def test_a_resumed_run_keeps_the_precision_that_was_fastest_when_it_began(monkey
         "matmul_rate",
         lambda device: float(torch.get_float32_matmul_precision() == fastest[0]),
     )
-    train(replace(tiny, matmul_precision="auto"), show_progress=False)
-    assert read_settings(tiny.out).matmul_precision == "high"
+    config = tiny.override(matmul_precision="auto")
+    train(config, show_progress=False)
+    assert read_config(tiny.run.out).speed.matmul_precision == "high"
     fastest[0] = "medium"
     torch.set_float32_matmul_precision("medium")
-    train(Settings(resume=tiny.out, total_steps=70), show_progress=False)
-    assert torch.get_float32_matmul_precision() == "high"
+    continue_run(tiny.run.out, total_steps=70, show_progress=False)
+    assert read_config(tiny.run.out).speed.matmul_precision == "high"
+    with open_run(config.override(total_steps=80), resume=True):
+        assert torch.get_float32_matmul_precision() == "high"
 
 
 def test_a_rate_is_operations_over_seconds():
@@ -77,33 +120,33 @@ def test_auto_compiles_where_the_planned_updates_pay_for_it(
     monkeypatch, total_steps, update_to_data, worth_it
 ):
     monkeypatch.setattr(shutil, "which", lambda name: "/a/compiler")
-    settings = Settings(total_steps=total_steps, update_to_data=update_to_data)
-    assert should_compile(settings) == worth_it
+    config = Config.of(total_steps=total_steps, update_to_data=update_to_data)
+    assert compiles(config) == worth_it
 
 
 def test_auto_compiles_nothing_without_a_compiler(monkeypatch):
     monkeypatch.setattr(shutil, "which", lambda name: None)
-    assert not should_compile(Settings(total_steps=100_000))
-    assert should_compile(Settings(total_steps=100_000, compile="on"))
+    assert not should_compile(SpeedConfig(), 99_500.0)
+    assert should_compile(SpeedConfig(compile="on"), 99_500.0)
 
 
 def test_an_unknown_device_is_rejected():
     with pytest.raises(ValueError, match="`device` must be cpu or cuda, got 'tpu'"):
-        Settings(device="tpu")
+        Config.of(device="tpu")
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU")
-def test_a_missing_gpu_is_told():
+def test_a_missing_gpu_is_reported():
     with pytest.raises(ValueError, match="`device` must be one that torch can use here"):
-        Settings(device="cuda")
+        Config.of(device="cuda")
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
 def test_everything_lives_on_the_gpu():
-    learner = Learner(Settings(device="cuda", hidden_dim=32), 3, 2)
+    learner = Learner(Config.of(device="cuda", hidden_dim=32), 3, 2)
     for observation, next_observation in torch.randn(300, 2, 3).numpy():
         learner.replay.add(observation, torch.rand(2).numpy(), 0.0, next_observation, False, False)
     metrics = [learner.update() for _ in range(5)][-1]
     assert all(value.isfinite() for value in metrics.values())
     assert {value.device.type for value in learner.agent.state_dict().values()} == {"cuda"}
-    assert learner.act(torch.zeros(3).numpy()).shape == (2,)
+    assert learner.act(torch.zeros(1, 3).numpy()).shape == (1, 2)

@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from deep_curiosity import products
+from deep_curiosity.speed import matmul
 from deep_curiosity.speed.matmul import INSTRUCTIONS, direct_matmul
-from tests.test_compilation import output_of
+from tests.speed.programs import output_of
 
 pytestmark = pytest.mark.skipif(
     torch.backends.cpu.get_cpu_capability() not in INSTRUCTIONS, reason="needs another CPU"
@@ -78,5 +78,5 @@ def test_threads_that_could_share_a_product_leave_it_to_torch():
 
 @pytest.mark.usefixtures("on_one_thread")
 def test_less_than_float32_is_left_to_torch(monkeypatch):
-    monkeypatch.setattr(products, "matmul_is_float32", lambda: False)
+    monkeypatch.setattr(matmul, "matmul_is_float32", lambda: False)
     assert not direct_matmul()

@@ -1,3 +1,4 @@
+import numpy as np
 import pytest
 import torch
 
@@ -5,10 +6,9 @@ from deep_curiosity.agent.networks import GaussianPolicy
 from deep_curiosity.speed.numpy_policy import NumpyPolicy
 
 
-def test_it_acts_as_its_policy_does_and_follows_it():
+def test_it_acts_as_its_policy_does_and_follows_its_updates():
     policy = GaussianPolicy(3, 2, hidden_dims=(8, 8))
-    numpy_policy, observation = NumpyPolicy(policy), torch.randn(1, 3)
-    noise = torch.randn(1, 1, 2)
+    numpy_policy, observation, noise = NumpyPolicy(policy), torch.randn(1, 3), torch.randn(1, 1, 2)
     for _ in range(2):
         expected = torch.tanh(policy(observation).component_samples(noise))
         action = numpy_policy.act(observation[0].numpy(), noise[0, 0].numpy())
@@ -17,6 +17,24 @@ def test_it_acts_as_its_policy_does_and_follows_it():
             policy.network.layers[-1].bias.add_(1)
 
 
-def test_a_policy_of_several_components_is_rejected():
+def test_an_action_is_left_as_it_is_by_the_next_one():
+    numpy_policy = NumpyPolicy(GaussianPolicy(3, 2, hidden_dims=(8,)))
+    observation, noise = np.ones(3, dtype=np.float32), np.zeros(2, dtype=np.float32)
+    action = numpy_policy.act(observation, noise)
+    before = action.copy()
+    numpy_policy.act(-observation, noise)
+    assert (action == before).all() and (observation == 1).all()
+
+
+def test_a_policy_without_hidden_layers_leaves_the_observation_as_it_is():
+    policy = GaussianPolicy(3, 2, hidden_dims=())
+    observation, noise = -np.ones(3, dtype=np.float32), np.zeros(2, dtype=np.float32)
+    action = NumpyPolicy(policy).act(observation, noise)
+    expected = torch.tanh(policy(torch.from_numpy(observation)[None]).loc[0, 0]).detach()
+    torch.testing.assert_close(torch.from_numpy(action), expected)
+    assert (observation == -1).all()
+
+
+def test_several_mixture_components_are_rejected():
     with pytest.raises(ValueError, match="`policy` must have one mixture component, got 2"):
         NumpyPolicy(GaussianPolicy(3, 2, mixture_components=2))

@@ -1,9 +1,8 @@
-
 import pytest
 import torch
 
 from deep_curiosity.replay import ReplayBuffer
-from deep_curiosity.training import train
+from deep_curiosity.training import continue_run, train
 from deep_curiosity.training.checkpoint import load_checkpoint
 from deep_curiosity.training.learner import Learner
 
@@ -21,7 +20,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(on_gpu, tmp_path, num_envs):
     halves = whole.override(total_steps=45, out=tmp_path / "halves")
     train(whole, show_progress=False)
     train(halves, show_progress=False)
-    train(whole.override(out=halves.run.out), resume=True, show_progress=False)
+    continue_run(halves.run.out, total_steps=90, show_progress=False)
     one, other = (load_checkpoint(run.run.out)["learner"] for run in (whole, halves))
     assert torch.equal(one["replay"]["rows"], other["replay"]["rows"])
     for part in ("agent", "bonus"):
@@ -31,7 +30,7 @@ def test_a_resumed_run_equals_an_uninterrupted_one(on_gpu, tmp_path, num_envs):
 
 def test_everything_that_learns_lives_on_the_gpu(on_gpu):
     learner = Learner(on_gpu, 3, 1)
-    state = {**learner.agent.state_dict(), **learner.bonus_learner.state_dict()}
+    state = {**learner.agent.state_dict(), **learner.bonus.state_dict()}
     assert {value.device.type for value in state.values()} == {"cuda"}
     learner.replay.add(*a_step())
     assert {field.device.type for field in learner.replay.sample(4)} == {"cuda"}
@@ -42,7 +41,7 @@ def a_step(number=0.0):
 
 
 @pytest.mark.filterwarnings("ignore:Synchronization debug mode")
-def test_storing_and_drawing_wait_for_nothing():
+def test_storing_and_sampling_wait_for_nothing():
     replay = ReplayBuffer(8, 3, 1, device="cuda")
     torch.cuda.set_sync_debug_mode("error")
     try:

@@ -8,6 +8,7 @@ from gymnasium import spaces
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 
 import deep_curiosity_envs
+from deep_curiosity.training.config import EnvironmentConfig
 from deep_curiosity.training.environments import (
     check_spaces,
     make_environment,
@@ -22,14 +23,16 @@ VECTOR = spaces.Box(-1.0, 1.0, (3,))
 
 @pytest.mark.parametrize("env_id", [*deep_curiosity_envs.TASK_IDS, "MountainCarContinuous-v0"])
 def test_actions_lie_in_the_unit_box(env_id):
-    environment = make_environment(env_id)
+    environment = make_environment(EnvironmentConfig(env_id))
     assert environment.action_space.low.tolist() == [-1.0] * environment.action_space.shape[0]
     assert environment.action_space.high.tolist() == [1.0] * environment.action_space.shape[0]
     environment.close()
 
 
 def test_gymnasium_mujoco_tasks_are_rescaled():
-    environment = make_environment("InvertedPendulum-v5")  # its own actions lie in [-3, 3]
+    environment = make_environment(
+        EnvironmentConfig("InvertedPendulum-v5")
+    )  # its own actions lie in [-3, 3]
     environment.reset(seed=0)
     environment.step(np.array([0.5], np.float32))
     assert environment.unwrapped.data.ctrl.item() == pytest.approx(1.5)
@@ -37,17 +40,17 @@ def test_gymnasium_mujoco_tasks_are_rescaled():
 
 
 def test_short_names_are_ours():
-    environment = make_environment("PointMaze", {"action_cost": 0.5})
+    environment = make_environment(EnvironmentConfig("PointMaze", {"action_cost": 0.5}))
     assert environment.unwrapped.action_cost == 0.5
     assert num_cells(environment) == environment.unwrapped.num_cells
-    assert picture_features("PointMaze", {}) == (0, 1)
-    assert picture_features("PendulumSwingup", {}) == (0, 2)
-    assert picture_features("PointMaze", {}, frame_stack=3) == (12, 13)
-    assert picture_features("PendulumSwingup", {}, frame_stack=2) == (4, 6)
+    assert picture_features(EnvironmentConfig("PointMaze")) == (0, 1)
+    assert picture_features(EnvironmentConfig("PendulumSwingup")) == (0, 2)
+    assert picture_features(EnvironmentConfig("PointMaze", frame_stack=3)) == (12, 13)
+    assert picture_features(EnvironmentConfig("PendulumSwingup", frame_stack=2)) == (4, 6)
 
 
 def test_reaching_the_goal_of_mountain_car_is_success():
-    environment = make_environment("MountainCarContinuous-v0")
+    environment = make_environment(EnvironmentConfig("MountainCarContinuous-v0"))
     environment.reset(seed=0)
     assert environment.step(np.zeros(1, np.float32))[4]["is_success"] is False
     environment.unwrapped.state = np.array([0.449, 0.07])
@@ -57,7 +60,7 @@ def test_reaching_the_goal_of_mountain_car_is_success():
 def test_dm_control_dictionaries_become_vectors():
     pytest.importorskip("shimmy")
     pytest.importorskip("dm_control")
-    environment = make_environment("dm_control/pendulum-swingup-v0")
+    environment = make_environment(EnvironmentConfig("dm_control/pendulum-swingup-v0"))
     observation, _ = environment.reset(seed=3)
     again, _ = environment.reset(seed=3)
     assert observation.shape == (3,)
@@ -83,13 +86,13 @@ def test_spaces_that_the_agent_cannot_take_are_named(observation_space, action_s
 
 def test_an_unknown_id_is_answered_with_the_nearest_and_our_own():
     with pytest.raises(ValueError, match=r"got 'HalfCheeta-v5'.*PendulumSwingup") as caught:
-        make_environment("HalfCheeta-v5")
+        make_environment(EnvironmentConfig("HalfCheeta-v5"))
     assert "HalfCheetah-v5" in str(caught.value)
 
 
 def test_unknown_arguments_of_an_environment_are_named():
     with pytest.raises(ValueError, match=r"`env_kwargs` must be arguments of .*'wind'"):
-        make_environment("PointMaze", {"wind": 1.0})
+        make_environment(EnvironmentConfig("PointMaze", {"wind": 1.0}))
 
 
 @pytest.mark.parametrize(
@@ -102,41 +105,45 @@ def test_unknown_arguments_of_an_environment_are_named():
         ("MountainCarContinuous-v0", "async", AsyncVectorEnv),
     ],
 )
-def test_worlds_are_made_in_the_way_that_is_asked_for(env_id, vectorization, kind):
-    worlds = make_vector_environment(env_id, num_envs=2, vectorization=vectorization)
-    one = make_environment(env_id)
-    assert type(worlds) is kind
-    assert worlds.metadata["autoreset_mode"] is AutoresetMode.DISABLED
-    assert worlds.single_observation_space == one.observation_space
-    assert worlds.single_action_space == one.action_space
-    observation, _ = worlds.reset(seed=3)
+def test_environments_are_made_in_the_way_that_is_set(env_id, vectorization, kind):
+    config = EnvironmentConfig(env_id, num_envs=2, vectorization=vectorization)
+    environments = make_vector_environment(config)
+    one = make_environment(EnvironmentConfig(env_id))
+    assert type(environments) is kind
+    assert environments.metadata["autoreset_mode"] is AutoresetMode.DISABLED
+    assert environments.single_observation_space == one.observation_space
+    assert environments.single_action_space == one.action_space
+    observation, _ = environments.reset(seed=3)
     assert np.array_equal(observation[0], one.reset(seed=3)[0])
-    infos = worlds.step(np.full((2, *one.action_space.shape), 0.5, np.float32))[4]
+    infos = environments.step(np.full((2, *one.action_space.shape), 0.5, np.float32))[4]
     assert infos["is_success"].tolist() == [False, False]
-    worlds.close()
+    environments.close()
 
 
 def test_ctrl_c_is_left_to_the_process_that_steps():
     handler = signal.getsignal(signal.SIGINT)
-    worlds = make_vector_environment("PendulumSwingup", num_envs=2, vectorization="async")
+    config = EnvironmentConfig("PendulumSwingup", num_envs=2, vectorization="async")
+    environments = make_vector_environment(config)
     assert signal.getsignal(signal.SIGINT) is handler
-    worlds.reset(seed=0)
-    for process in worlds.processes:
+    environments.reset(seed=0)
+    for process in environments.processes:
         os.kill(process.pid, signal.SIGINT)
     for _ in range(3):
-        worlds.step(np.zeros((2, 1), np.float32))
-    worlds.close()
+        environments.step(np.zeros((2, 1), np.float32))
+    environments.close()
 
 
-def test_arguments_reach_every_world():
-    worlds = make_vector_environment("PendulumSwingup", {"action_cost": 0.5}, num_envs=2)
-    worlds.reset(seed=0)
-    assert worlds.step(np.ones((2, 1)))[1].tolist() == [-0.5, -0.5]
+def test_arguments_reach_every_environment():
+    config = EnvironmentConfig("PendulumSwingup", {"action_cost": 0.5}, num_envs=2)
+    environments = make_vector_environment(config)
+    environments.reset(seed=0)
+    assert environments.step(np.ones((2, 1)))[1].tolist() == [-0.5, -0.5]
 
 
 def test_a_native_environment_is_only_for_our_own_tasks():
+    config = EnvironmentConfig("MountainCarContinuous-v0", num_envs=2, vectorization="native")
     with pytest.raises(ValueError, match=r"`vectorization` must be .* for MountainCar.*'native'"):
-        make_vector_environment("MountainCarContinuous-v0", num_envs=2, vectorization="native")
+        make_vector_environment(config)
 
 
 def test_nothing_is_registered_twice():

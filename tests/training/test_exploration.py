@@ -1,23 +1,22 @@
-
 import pytest
 import torch
 
-from deep_curiosity.training import Config, continue_run, train
-from deep_curiosity.training.exploration import NOISES, REDRAWN_STEPS, StateDependentNoise
+from deep_curiosity.training import continue_run, train
+from deep_curiosity.training.exploration import NOISES, RESAMPLED_STEPS, StateDependentNoise
 
 
 def series(noise, steps, width=4):
     """Noise along a walk through hidden activations, `(steps, num_envs, action_dim)`."""
     hidden = torch.randn(noise.shape[0], width)
-    drawn = []
+    samples = []
     for _ in range(steps):
         hidden = hidden + 0.05 * torch.randn_like(hidden)
-        drawn.append(noise.draw(hidden).clone())
-    return torch.stack(drawn)
+        samples.append(noise.sample(hidden).clone())
+    return torch.stack(samples)
 
 
-def correlation(drawn):
-    return (drawn[1:] * drawn[:-1]).mean().item() / drawn.square().mean().item()
+def correlation(samples):
+    return (samples[1:] * samples[:-1]).mean().item() / samples.square().mean().item()
 
 
 @pytest.fixture(params=NOISES)
@@ -26,10 +25,10 @@ def kind(request):
 
 
 def test_noise_has_unit_variance_at_every_step(kind):
-    drawn = series(kind(200, 3), 20)
-    assert drawn.shape == (20, 200, 3) and drawn.dtype == torch.float32
-    assert drawn.std().item() == pytest.approx(1, abs=0.1)
-    assert drawn.mean().item() == pytest.approx(0, abs=0.1)
+    samples = series(kind(200, 3), 20)
+    assert samples.shape == (20, 200, 3) and samples.dtype == torch.float32
+    assert samples.std().item() == pytest.approx(1, abs=0.1)
+    assert samples.mean().item() == pytest.approx(0, abs=0.1)
 
 
 def test_noise_hangs_together_in_time(kind):
@@ -51,20 +50,20 @@ def test_an_episode_begins_with_noise_of_its_own(kind):
     noise = kind(2, 1)
     series(noise, 5)
     hidden = torch.ones(2, 4)
-    before = noise.draw(hidden).clone()
+    before = noise.sample(hidden).clone()
     noise.begin(1)
-    after = noise.draw(hidden)
+    after = noise.sample(hidden)
     assert (after[1] - before[1]).abs() > 1e-3
     if kind is StateDependentNoise:
         assert after[0].equal(before[0])
 
 
-def test_state_dependent_noise_is_a_function_of_the_state_until_it_is_redrawn():
+def test_state_dependent_noise_is_a_function_of_the_state_until_it_is_resampled():
     noise = StateDependentNoise(1, 2)
     hidden = torch.randn(1, 4)
-    drawn = [noise.draw(hidden).clone() for _ in range(REDRAWN_STEPS + 1)]
-    assert all(value.equal(drawn[0]) for value in drawn[:-1])
-    assert not drawn[-1].equal(drawn[0])
+    samples = [noise.sample(hidden).clone() for _ in range(RESAMPLED_STEPS + 1)]
+    assert all(value.equal(samples[0]) for value in samples[:-1])
+    assert not samples[-1].equal(samples[0])
 
 
 @pytest.mark.parametrize(("exploration", "num_envs"), [("gsde", 2), ("pink", 3), ("ou", 1)])
@@ -85,11 +84,11 @@ def test_a_run_explores_so_and_resumes_as_if_it_had_not_stopped(tiny, exploratio
     assert not white.equal(first)
 
 
-def test_several_modes_have_noise_of_their_own(tiny):
-    with pytest.raises(ValueError, match="`exploration` must be 'policy' for 2 policy modes"):
-        tiny.override(exploration="pink", policy_modes=2)
+def test_several_mixture_components_have_noise_of_their_own(tiny):
+    with pytest.raises(ValueError, match="`exploration` must be 'policy' for a policy of 2 mix"):
+        tiny.override(exploration="pink", policy_mixture_components=2)
 
 
-def test_a_bonus_of_outcomes_cannot_be_climbed(tiny):
+def test_a_bonus_of_outcomes_cannot_be_maximised_directly(tiny):
     with pytest.raises(ValueError, match="`curiosity_discount` must be above 0 for the bonus rnd"):
         tiny.override(bonus="rnd", curiosity_discount=0.0)

@@ -1,3 +1,4 @@
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
@@ -5,11 +6,12 @@ import pytest
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from deep_curiosity.training.collector import Collector
-from deep_curiosity.training.environments import make_environment, make_vector_environment
 from deep_curiosity.integrations.trainer import LearnerIntegration
-from deep_curiosity.training.learner import make_run_bonus
+from deep_curiosity.training.collector import Collector
+from deep_curiosity.training.config import EnvironmentConfig
+from deep_curiosity.training.environments import make_environment, make_vector_environment
 from deep_curiosity.training.frame_stack import FrameStack, VectorFrameStack
+from deep_curiosity.training.learner import make_run_bonus
 
 
 class Counter(gymnasium.Env):
@@ -52,14 +54,14 @@ def test_windows_of_two_episodes():
         assert [step[3] for step in steps] == [False, False, True]
 
 
-def test_only_worlds_that_are_told_to_begin_anew():
-    worlds = VectorFrameStack(counters(3), 2)
-    worlds.reset(seed=[1, 2, 3])
+def test_only_environments_that_are_reset_begin_anew():
+    environments = VectorFrameStack(counters(3), 2)
+    environments.reset(seed=[1, 2, 3])
     for action in (0.25, 0.5, 0.75):
-        window = worlds.step(np.full((3, 1), action, np.float32))[0]
+        window = environments.step(np.full((3, 1), action, np.float32))[0]
     assert window.tolist() == [[seed, 2, 0.75, seed, 3] for seed in (1, 2, 3)]
     mask = np.array([False, True, True])
-    window, _ = worlds.reset(seed=[None, 5, 6], options={"reset_mask": mask})
+    window, _ = environments.reset(seed=[None, 5, 6], options={"reset_mask": mask})
     assert window.tolist() == [[1, 2, 0.75, 1, 3], [5, 0, 0, 5, 0], [6, 0, 0, 6, 0]]
 
 
@@ -80,24 +82,26 @@ def test_what_was_returned_stays_as_it_was():
 
 
 @pytest.mark.parametrize("vectorization", ["native", "sync", "async"])
-def test_worlds_have_the_windows_of_single_environments(vectorization):
-    task = "ReacherSparse", {"action_cost": 0.1}
-    worlds = make_vector_environment(*task, num_envs=2, vectorization=vectorization, frame_stack=3)
-    collector = Collector(worlds, seed=0)
-    singles = [make_environment(*task, frame_stack=3) for _ in range(2)]
+def test_several_environments_have_the_windows_of_single_ones(vectorization):
+    single = EnvironmentConfig("ReacherSparse", {"action_cost": 0.1}, frame_stack=3)
+    environments = make_vector_environment(
+        replace(single, num_envs=2, vectorization=vectorization)
+    )
+    collector = Collector(environments, seed=0)
+    singles = [make_environment(single) for _ in range(2)]
     random, starts = np.random.default_rng(0), []
     for step in range(220):  # two episodes and some of the third
         if step % 100 == 0:
-            starts = [_seed(step // 100 * 2 + world) for world in range(2)]
+            starts = [_seed(step // 100 * 2 + index) for index in range(2)]
             first = [env.reset(seed=seed)[0] for env, seed in zip(singles, starts, strict=True)]
             assert np.array_equal(collector.observation, first)
         action = random.uniform(-1, 1, (2, 2)).astype(np.float32)
         taken = collector.step(action)[0]
         expected = [env.step(row)[0] for env, row in zip(singles, action, strict=True)]
         np.testing.assert_allclose(taken.next_observation, expected, rtol=0, atol=1e-6)
-    assert worlds.single_observation_space == singles[0].observation_space
-    assert worlds.single_observation_space.contains(taken.next_observation[0])
-    worlds.close()
+    assert environments.single_observation_space == singles[0].observation_space
+    assert environments.single_observation_space.contains(taken.next_observation[0])
+    environments.close()
 
 
 def _seed(number):
@@ -105,9 +109,10 @@ def _seed(number):
 
 
 @pytest.mark.parametrize(("frame_stack", "size"), [(1, 2), (2, 5), (4, 11)])
-def test_the_space_grows_with_the_history(history, size):
-    one = make_environment("PendulumHiddenVelocity", frame_stack=history)
-    several = make_vector_environment("PendulumHiddenVelocity", num_envs=2, frame_stack=history)
+def test_the_space_grows_with_the_frame_stack(frame_stack, size):
+    config = EnvironmentConfig("PendulumHiddenVelocity", frame_stack=frame_stack)
+    one = make_environment(config)
+    several = make_vector_environment(replace(config, num_envs=2))
     assert one.observation_space.shape == (size,)
     assert one.observation_space.contains(one.reset(seed=0)[0])
     assert several.observation_space.shape == (2, size)
@@ -115,38 +120,42 @@ def test_the_space_grows_with_the_history(history, size):
 
 
 def test_the_space_keeps_the_precision_of_the_observation():
-    env = make_environment("InvertedPendulum-v5", frame_stack=2)
+    env = make_environment(EnvironmentConfig("InvertedPendulum-v5", frame_stack=2))
     window, _ = env.reset(seed=0)
     assert window.dtype == env.observation_space.dtype == np.float64
     assert env.step(act(0.5))[0].dtype == np.float64
     env.close()
 
 
-def test_a_history_without_an_observation_is_rejected():
-    with pytest.raises(ValueError, match="`history` must be at least 1, got 0"):
+def test_a_stack_without_an_observation_is_rejected():
+    with pytest.raises(ValueError, match="`num_frames` must be at least 1, got 0"):
         FrameStack(Counter(), 0)
-    with pytest.raises(ValueError, match="`history` must be at least 1, got 0"):
-        make_vector_environment("PointMaze", num_envs=2, frame_stack=0)
+    with pytest.raises(ValueError, match="`num_frames` must be at least 1, got 0"):
+        VectorFrameStack(counters(2), 0)
+    with pytest.raises(ValueError, match="`frame_stack` must be at least 1, got 0"):
+        EnvironmentConfig("PointMaze", num_envs=2, frame_stack=0)
 
 
 @pytest.mark.parametrize("mode", [AutoresetMode.SAME_STEP, AutoresetMode.NEXT_STEP])
-def test_worlds_that_reset_by_themselves_are_rejected(mode):
+def test_environments_that_reset_by_themselves_are_rejected(mode):
     with pytest.raises(ValueError, match="`env` must have its autoreset disabled, got"):
         VectorFrameStack(counters(2, mode), 2)
 
 
-def test_the_check_looks_through_the_same_window(tiny):
+def test_the_check_has_the_same_window(tiny):
     agent = LearnerIntegration(tiny.override(frame_stack=3))
     assert agent.collect(5, seed=0).observation.shape == (5, 3 * 3 + 2 * 1)
 
 
 @pytest.mark.parametrize(
-    ("frame_stack", "asked", "entries"),
+    ("frame_stack", "features", "entries"),
     [(1, (), None), (3, (), [4, 5, 6, 8, 9, 10]), (3, (0, -1), [0, 10])],
 )
-def test_curiosity_is_about_the_two_newest_observations_of_a_window(tiny, history, asked, entries):
+def test_curiosity_is_about_the_two_newest_observations_of_a_window(
+    tiny, frame_stack, features, entries
+):
     """Of three entries, with one action between two observations."""
-    settings = tiny.override(frame_stack=history, features=asked)
-    bonus = make_run_bonus(settings, 3 * history + history - 1, 1)
+    config = tiny.override(frame_stack=frame_stack, features=features)
+    bonus = make_run_bonus(config, 3 * frame_stack + frame_stack - 1, 1)
     found = None if bonus.entries is None else bonus.entries.tolist()
     assert found == entries

@@ -7,17 +7,23 @@ import torch
 from deep_curiosity.training import Config, continue_run, train
 from deep_curiosity.training.checkpoint import load_checkpoint
 from deep_curiosity.training.environments import make_environment
-from deep_curiosity.training.hunger import BanditHunger, RandomHunger, ScheduledHunger, FunctionHunger, make_hunger_controller
+from deep_curiosity.training.hunger import (
+    BanditHunger,
+    FunctionHunger,
+    RandomHunger,
+    ScheduledHunger,
+    make_hunger_controller,
+)
 from deep_curiosity.training.learner import Learner
-from deep_curiosity.training.playback import load_policy
 from deep_curiosity.training.log import read_progress
+from deep_curiosity.training.playback import load_policy
 
 NOTHING = np.zeros((1, 3))
 GOES_ON = np.array([False])
 
 
 def arms_held(bandit, reward_of, num_steps):
-    """Hunger at each step of a world that pays what the hunger earns."""
+    """Hunger at each step of an environment whose reward is a function of the hunger."""
     held = []
     for step in range(num_steps):
         (hunger,) = bandit.hunger(step, NOTHING, {})
@@ -41,7 +47,7 @@ def test_a_bandit_follows_reward_to_another_arm():
     assert (held[500:] == 0.0).mean() > 0.6
 
 
-def test_a_bandit_that_earns_nothing_lets_all_arms_take_turns():
+def test_a_bandit_that_earns_nothing_tries_all_arms_alike():
     torch.manual_seed(0)
     held = arms_held(BanditHunger(segment=10), lambda hunger: 0.0, 900)
     shares = [(held == arm).mean() for arm in (0.0, 0.5, 1.0)]
@@ -61,14 +67,14 @@ def test_a_restored_bandit_goes_on_as_if_it_had_not_stopped():
     assert np.array_equal(*courses)
 
 
-def test_draws_are_held_for_an_episode_in_each_world():
+def test_a_random_hunger_is_held_for_an_episode_in_each_environment():
     torch.manual_seed(0)
-    drawn = RandomHunger(num_envs=2, hungers=(0.0, 0.25, 0.5, 0.75, 1.0))
+    random = RandomHunger(num_envs=2, hungers=(0.0, 0.25, 0.5, 0.75, 1.0))
     courses = []
     for _ in range(60):
-        courses.append(drawn.hunger(0, np.zeros((2, 3)), {}).copy())
+        courses.append(random.hunger(0, np.zeros((2, 3)), {}).copy())
         for step in range(5):
-            drawn.record(np.zeros(2), np.array([step == 4, False]))
+            random.record(np.zeros(2), np.array([step == 4, False]))
     courses = np.array(courses)
     assert set(courses[:, 0]) == {0.0, 0.25, 0.5, 0.75, 1.0}
     assert len(set(courses[:, 1])) == 1
@@ -77,38 +83,38 @@ def test_draws_are_held_for_an_episode_in_each_world():
 def test_an_empty_battery_makes_hungry_in_training_and_evaluation():
     charge = np.array([1.0, 0.75, 0.5, 0.0])
     observation, info = np.stack((np.full(4, 5.0), charge), axis=1), {"charge": charge}
-    for entry in (-1, 1, "charge"):
-        hunger_controller = make_hunger_controller(Config.of(hunger_control="battery", battery=entry), 2)
+    for entry in ("battery", "battery:-1", "battery:1", "battery:charge"):
+        hunger_controller = make_hunger_controller(Config.of(hunger=entry), 2)
         assert hunger_controller.hunger(0, observation, info).tolist() == [0.0, 0.5, 1.0, 1.0]
         assert hunger_controller.in_evaluation(observation, info).tolist() == [0.0, 0.5, 1.0, 1.0]
 
 
 def test_a_battery_must_be_in_the_observation():
     with pytest.raises(ValueError, match="`battery` must be an entry of an observation of 3, got"):
-        make_hunger_controller(Config.of(hunger_control="battery", battery=3), observation_dim=3)
+        make_hunger_controller(Config.of(hunger="battery:3"), observation_dim=3)
 
 
 def test_a_battery_must_be_in_the_info():
-    hunger_controller = make_hunger_controller(Config.of(hunger_control="battery", battery="fuel"), observation_dim=3)
+    hunger_controller = make_hunger_controller(Config.of(hunger="battery:fuel"), observation_dim=3)
     with pytest.raises(ValueError, match=r"`battery` .* \['energy'\], got 'fuel'"):
         hunger_controller.hunger(0, NOTHING, {"energy": 1.0})
 
 
-@pytest.mark.parametrize("control", ["constant", "dial"])
+@pytest.mark.parametrize("value", [1.0, "conditioned:1.0"])
 @pytest.mark.parametrize("num_envs", [1, 2])
-def test_the_caller_may_say_how_hungry_the_agent_is(tiny, control, num_envs):
-    told = []
+def test_the_caller_may_set_the_hunger(tiny, value, num_envs):
+    given = []
 
     def hunger(observation, info):
-        told.append((observation, info["energy"]))
+        given.append((observation, info["energy"]))
         return 0.25 + 0.5 * (observation[:, -1] < 0.95)
 
-    settings = tiny.override(env_id="BatteryRover", env_kwargs={}, hunger_control=control, num_envs=num_envs)
-    train(settings, hunger=hunger, show_progress=False)
-    assert {len(observation) for observation, _ in told} == {1, num_envs}  # 1 in evaluations
-    for observation, energy in told:
+    config = tiny.override(env_id="BatteryRover", env_kwargs={}, hunger=value, num_envs=num_envs)
+    train(config, hunger=hunger, show_progress=False)
+    assert {len(observation) for observation, _ in given} == {1, num_envs}  # 1 in evaluations
+    for observation, energy in given:
         assert observation[:, -1] == pytest.approx(energy)
-    logged = {float(row["agent/hunger"]) for row in read_progress(settings.run.out)}
+    logged = {float(row["agent/hunger"]) for row in read_progress(config.run.out)}
     assert 0.75 in logged
 
 
@@ -121,66 +127,71 @@ def test_the_caller_may_say_how_hungry_the_agent_is(tiny, control, num_envs):
     ],
     ids=["shape", "range", "nan"],
 )
-def test_a_hunger_that_cannot_be_is_named(tiny, hunger, message):
-    settings = tiny.override(hunger_control="dial")
+def test_a_hunger_out_of_bounds_is_named(tiny, hunger, message):
+    config = tiny.override(hunger="conditioned:1.0")
     with pytest.raises(ValueError, match=message):
-        train(settings, hunger=lambda observation, info: hunger, show_progress=False)
+        train(config, hunger=lambda observation, info: hunger, show_progress=False)
 
 
-def test_hunger_is_said_by_one_alone(tiny):
-    settings = tiny.override(hunger_control="bandit")
-    with pytest.raises(ValueError, match=r"`hunger_control` must be .* got 'bandit'"):
-        train(settings, hunger=lambda observation, info: 1.0, show_progress=False)
+def test_hunger_is_set_by_one_alone(tiny):
+    config = tiny.override(hunger="bandit")
+    with pytest.raises(
+        ValueError, match=r"`hunger` must be a number or conditioned:VALUE where .* got bandit"
+    ):
+        train(config, hunger=lambda observation, info: 1.0, show_progress=False)
     assert not tiny.run.out.exists()
 
 
-def test_what_is_sensed_is_not_bounded_without_a_dial():
-    sensed = FunctionHunger(lambda observation, info: 7.0, math.inf)
-    assert sensed.hunger(0, NOTHING, {}).tolist() == [7.0]
+def test_a_function_is_not_bounded_where_the_agent_is_not_conditioned():
+    controller = FunctionHunger(lambda observation, info: 7.0, math.inf)
+    assert controller.hunger(0, NOTHING, {}).tolist() == [7.0]
 
 
-@pytest.mark.parametrize("control", ["linear", "exponential"])
-def test_a_schedule_goes_from_hunger_to_final_hunger(control):
-    settings = Config.of(
-        hunger_control=control, hunger=0.5, final_hunger=8.0, total_steps=100, num_envs=2
-    )
-    hunger_controller = make_hunger_controller(settings, 3)
+@pytest.mark.parametrize("shape", ["linear", "exponential"])
+def test_a_schedule_goes_from_the_first_hunger_to_the_last(shape):
+    config = Config.of(hunger=f"{shape}:0.5:8", total_steps=100, learning_starts=10, num_envs=2)
+    hunger_controller = make_hunger_controller(config, 3)
     assert isinstance(hunger_controller, ScheduledHunger)
     assert hunger_controller.hunger(0, np.zeros((2, 3)), {}).tolist() == [0.5, 0.5]
     assert hunger_controller.hunger(100, np.zeros((2, 3)), {}) == pytest.approx(8.0)
 
 
 def test_what_goes_with_time_is_set_before_a_step(tiny):
-    settings = tiny.override(hunger_control="linear",
-        final_hunger=3.0,
-        temperature_control="exponential",
-        temperature=1.0,
-        final_temperature=0.01,
+    config = tiny.override(
+        hunger="linear:1:3",
+        temperature="exponential:1.0:0.01",
+        curiosity_coefficient=1.0,
         curiosity_ends=50,
-        total_steps=100,)
-    learner = Learner(settings, 3, 1)
-    learner.turn(49, np.zeros(3), {})
-    assert learner.agent.curiosity_weight == 1.0
-    learner.turn(50, np.zeros(3), {})
+        total_steps=100,
+    )
+    learner = Learner(config, 3, 1)
+    learner.before_step(49, np.zeros((1, 3)), {})
+    assert learner.agent.curiosity_coefficient == 1.0
+    learner.before_step(50, np.zeros((1, 3)), {})
     assert learner.agent.hunger == pytest.approx(2.0)
     assert learner.agent.temperature == pytest.approx(0.1)
-    assert learner.agent.curiosity_weight == 0.0
+    assert learner.agent.curiosity_coefficient == 0.0
 
 
-def test_what_is_restored_is_told_anew_how_hungry_it_is(tiny):
+def test_what_is_restored_has_its_hunger_set_anew(tiny):
     learner, hungrier = Learner(tiny, 3, 1), Learner(tiny.override(hunger=2.0), 3, 1)
     for each in (learner, hungrier):
-        each.turn(0, np.zeros(3), {})
+        each.before_step(0, np.zeros((1, 3)), {})
     learner.load_state_dict(hungrier.state_dict())
     assert learner.agent.hunger == 2.0
-    learner.turn(1, np.zeros(3), {})
+    learner.before_step(1, np.zeros((1, 3)), {})
     assert learner.agent.hunger == 1.0
 
 
 @pytest.mark.parametrize("num_envs", [1, 2])
-def test_the_policy_acts_as_hungry_as_the_dial_says(tiny, num_envs):
-    settings = tiny.override(hunger_control="dial", num_envs=num_envs)
-    learner = Learner(settings, 3, 1)
+def test_the_policy_acts_as_hungry_as_it_is(tiny, num_envs):
+    said = [0.0, 1.0]
+    learner = Learner(
+        tiny.override(hunger="conditioned:1.0", num_envs=num_envs),
+        3,
+        1,
+        hunger=lambda observation, info: said[0],
+    )
     with torch.no_grad():
         layers = learner.agent.policy.network.layers
         for layer in layers:
@@ -189,64 +200,68 @@ def test_the_policy_acts_as_hungry_as_the_dial_says(tiny, num_envs):
         layers[-1].weight[..., 0] = 1.0
         layers[-1].bias[..., 1] = -9.0
     actions = []
-    for hunger in (0.0, 1.0):
-        object.__setattr__(settings, "hunger", hunger)
-        observation = np.zeros(3) if num_envs == 1 else np.zeros((num_envs, 3))
-        learner.turn(0, observation, {})
+    for _ in range(2):
+        observation = np.zeros((num_envs, 3))
+        learner.before_step(0, observation, {})
         actions.append(learner.act(observation))
+        said.reverse()
+    assert actions[0].shape == (num_envs, 1)
     assert (abs(actions[0] - actions[1]) > 0.5).all()
-    greedy = learner.act_deterministically(torch.zeros(1, 3), {})
+    said[0] = 1.0
+    greedy = learner.evaluation_policy(torch.zeros(1, 3), {})
     assert greedy.item() == pytest.approx(actions[1].flat[0], abs=0.1)
 
 
-@pytest.mark.parametrize("control", ["draws", "bandit"])
-def test_a_resumed_run_goes_on_with_its_keeper(tiny, tmp_path, control):
-    dialled = tiny.override(hunger_control=control, total_steps=60)
-    train(dialled, show_progress=False)
-    halves = dialled.override(out=tmp_path / "halves")
+@pytest.mark.parametrize("hunger", ["random", "bandit"])
+def test_a_resumed_run_goes_on_with_its_controller(tiny, tmp_path, hunger):
+    whole = tiny.override(hunger=hunger, total_steps=60)
+    train(whole, show_progress=False)
+    halves = whole.override(out=tmp_path / "halves")
     train(halves.override(total_steps=30), show_progress=False)
     continue_run(halves.run.out, total_steps=60, show_progress=False)
-    whole, resumed = (load_checkpoint(run.run.out)["learner"] for run in (dialled, halves))
-    assert whole["hunger_controller"] == resumed["hunger_controller"] != {}
-    assert torch.equal(whole["replay"]["rows"], resumed["replay"]["rows"])
+    one, other = (load_checkpoint(run.run.out)["learner"] for run in (whole, halves))
+    assert one["hunger"] == other["hunger"] != {}
+    assert torch.equal(one["replay"]["rows"], other["replay"]["rows"])
 
 
 @pytest.mark.parametrize(
     ("change", "message"),
     [
         (
-            {"hunger_control": "bandit", "bonus": "none"},
-            "`hunger_control` must be .* got 'bandit'",
+            {"hunger": "bandit", "bonus": "none"},
+            "`hunger` must be a number or a schedule without a bonus, got bandit",
         ),
-        ({"hunger_control": "dial", "hunger": 2.0}, r"`hunger` must lie in \[0, 1\] on a dial"),
-        ({"hunger_control": "linear", "hunger": 0.0}, "`first` must be finite and positive"),
-        ({"hunger_control": "linear", "final_hunger": 0.0}, "`final_hunger` must be positive"),
-        ({"hunger_control": "battery", "battery": 7}, "`battery` must be an entry of"),
         (
-            {"temperature_control": "linear", "final_temperature": -1.0},
-            "`final_temperature` must be positive, got -1.0",
+            {"hunger": "conditioned:2.0"},
+            r"`hunger` must lie in \[0, 1\] where conditioned, got 2.0",
         ),
+        ({"hunger": "linear:0:10"}, "`first` must be finite and positive, got 0.0"),
+        ({"hunger": "linear:1:0"}, "`last` must be finite and positive, got 0.0"),
+        ({"hunger": "battery:7"}, "`battery` must be an entry of"),
+        ({"temperature": "linear:0.02:-1"}, "`last` must be finite and positive, got -1.0"),
     ],
     ids=str,
 )
-def test_a_control_that_cannot_be_is_named(tiny, change, message):
+def test_a_hunger_or_temperature_that_cannot_be_is_named(tiny, change, message):
     with pytest.raises(ValueError, match=message):
         train(tiny.override(**change), show_progress=False)
     assert not tiny.run.out.exists()
 
 
-def test_a_run_without_a_dial_is_played_at_no_other_hunger(tiny):
+def test_a_run_that_is_not_conditioned_is_played_at_no_other_hunger(tiny):
     train(tiny, show_progress=False)
-    environment = make_environment(tiny.env_id, tiny.env_kwargs)
-    with pytest.raises(ValueError, match="`hunger` can only be chosen where the run has a dial"):
+    environment = make_environment(tiny.environment)
+    with pytest.raises(ValueError, match="`hunger` can only be chosen where the agent is cond"):
         load_policy(tiny.run.out, tiny, environment, hunger=0.5)
     action = load_policy(tiny.run.out, tiny, environment)(torch.zeros(2, 3), {})
     assert action.shape == (2, 1)
     environment.close()
 
 
-def test_curiosity_past_the_end_of_the_world_is_asked_for_by_a_setting(tiny):
-    rover = tiny.override(env_id="BatteryRover", env_kwargs={}, total_steps=300, learning_starts=250)
+def test_curiosity_past_the_end_of_the_episode_is_a_setting(tiny):
+    rover = tiny.override(
+        env_id="BatteryRover", env_kwargs={}, total_steps=300, learning_starts=250
+    )
     weights = []
     for episodic in (True, False):
         out = tiny.run.out.with_name(f"{episodic}")

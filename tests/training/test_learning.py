@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from deep_curiosity.training import Config, continue_run, train
+from deep_curiosity.training import Config, train
 
 HALF_OF_ALL_STEPS = 100.0  # of PendulumSwingup: 200 steps that pay at most one each
 

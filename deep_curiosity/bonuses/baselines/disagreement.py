@@ -16,7 +16,7 @@ class PointEnsemble(nn.Module):
     """Models that each predict one whitened outcome, a point and no density.
 
     Args:
-        in_features: Length of what they are told.
+        in_features: Length of their input.
         out_features: Length of what they predict.
         num_members: Number of models, at least 2.
         hidden_dims: Width of every hidden layer.

@@ -8,12 +8,12 @@ from deep_curiosity.experiments.study import Study
 
 FOLDERS = {
     "comparisons": Path("docs/study"),
-    "stable_baselines3": Path("docs/study"),
-    "torchrl": Path("docs/study"),
     "sweeps": Path("docs/sweeps"),
-    "illustrations": Path("docs/paper"),
+    "illustrations": Path("docs/study"),
 }
 """Module of each group of studies, to the folder of its tables."""
+LIBRARIES = ("stable_baselines3", "torchrl")
+"""Studies of agents of other libraries, each in a module of its name."""
 
 
 def find_study(name: str) -> tuple[str, Study, Path]:
@@ -27,21 +27,22 @@ def find_study(name: str) -> tuple[str, Study, Path]:
 
     Raises:
         FileNotFoundError: If there is no such file.
+        ImportError: If the library whose agents are studied is missing.
         ValueError: If there is no such study.
     """
     file, _, wanted = name.partition(":")
     if file.endswith(".py"):
         return _find_own(Path(file), wanted)
+    if name in LIBRARIES:
+        return name, import_module(f"{__name__}.{name}").STUDIES[name], Path("docs/study")
     known: list[str] = []
     for module, folder in FOLDERS.items():
-        try:
-            studies = import_module(f"{__name__}.{module}").STUDIES
-        except ImportError:  # of a library that is not installed
-            continue
+        studies = import_module(f"{__name__}.{module}").STUDIES
         if name in studies:
             return name, studies[name], folder
         known += studies
-    raise ValueError(f"`study` must be a file or one of {', '.join(known)}, got {name!r}.")
+    choices = ", ".join((*known, *LIBRARIES))
+    raise ValueError(f"`study` must be a file or one of {choices}, got {name!r}.")
 
 
 def _find_own(path: Path, wanted: str) -> tuple[str, Study, Path]:

@@ -109,6 +109,9 @@ class StableBaselinesIntegration(_Integration[OffPolicyAlgorithm]):
         """Another agent, as `save` left it."""
         model = type(self.model).load(folder / MODEL, env=self.make_env())
         model.load_replay_buffer(folder / BUFFER)
+        callback = CuriosityCallback()  # gives the bonus the loaded actor, as collecting does
+        callback.init_callback(model)
+        callback.on_training_start({}, {})
         return StableBaselinesIntegration(model, self.make_env)
 
     @property

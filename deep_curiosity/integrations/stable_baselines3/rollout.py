@@ -1,6 +1,5 @@
 """Rollout buffers that add a bonus before advantages are computed, for PPO and A2C."""
 
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -31,13 +30,10 @@ class CuriousRolloutBuffer(RolloutBuffer):
         gae_lambda: Of the advantages.
         gamma: Discount of the agent.
         n_envs: Environments side by side.
-        bonus: A name from `BONUSES`, or a bonus, which is then used itself and not copied.
-        bonus_kwargs: Settings of the bonus as `make_bonus` takes them, where it is given by name.
-        learning_rate: Of the networks of the bonus.
-        update_interval: Minibatches from one gradient step of the bonus to the next.
-        observation_key: Entry of a dictionary observation that the bonus is about.
         batch_size: Steps in a minibatch of the bonus.
         epochs: Times that the bonus goes through a rollout.
+        **bonus_options: `bonus`, `bonus_kwargs`, `learning_rate`, `update_interval` (counted in
+            minibatches) and `observation_key`, as for `CuriousReplayBuffer`.
 
     Raises:
         TypeError: If `bonus` is neither a name nor a bonus.
@@ -56,13 +52,9 @@ class CuriousRolloutBuffer(RolloutBuffer):
         gamma: float = 0.99,
         n_envs: int = 1,
         *,
-        bonus: str | Bonus = "curiosity",
-        bonus_kwargs: Mapping[str, Any] | None = None,
-        learning_rate: float = 1e-3,
-        update_interval: int = 1,
-        observation_key: str | None = None,
         batch_size: int = 256,
         epochs: int = 4,
+        **bonus_options: Any,
     ) -> None:
         if isinstance(observation_space, spaces.Dict) and not isinstance(self, DictRolloutBuffer):
             raise ValueError(
@@ -75,11 +67,7 @@ class CuriousRolloutBuffer(RolloutBuffer):
         self.attachment = BonusAttachment(
             observation_space,
             action_space,
-            bonus=bonus,
-            bonus_kwargs=bonus_kwargs,
-            learning_rate=learning_rate,
-            update_interval=update_interval,
-            observation_key=observation_key,
+            **bonus_options,
         )
         super().__init__(
             buffer_size, observation_space, action_space, device, gae_lambda, gamma, n_envs

@@ -1,11 +1,13 @@
+import math
+
 import pytest
 import torch
 
-from deep_curiosity.bonuses.baselines import DisagreementBonus
+from deep_curiosity.bonuses.baselines import DisagreementBonus, InformationGainBonus
 from deep_curiosity.transitions import Transition
 
-RAW = {"weight": 1.0, "center": False, "scale": False, "refresh_interval": 1}
-SMALL = RAW | {"num_members": 2, "hidden_dims": (8,)}
+SMALL = {"num_members": 2, "hidden_dims": (8,), "refresh_interval": 1, "weight": 1.0}
+RAW = {"center": False, "scale": False}
 
 
 def transition(batch=64):
@@ -26,20 +28,51 @@ def predict(bonus, *values):
 
 
 def test_disagreement_is_the_mean_variance_of_the_predictions():
-    bonus = DisagreementBonus(3, 2, **SMALL)
+    bonus = DisagreementBonus(3, 2, **SMALL, **RAW)
     predict(bonus, torch.tensor([0.0, 1.0, 2.0]), torch.tensor([2.0, 1.0, 6.0]))
     value = bonus(torch.zeros(1, 3), torch.zeros(1, 2))
     assert value.item() == pytest.approx((1 + 0 + 4) / 3)
 
 
 def test_members_that_agree_earn_nothing():
-    bonus = DisagreementBonus(3, 2, **SMALL)
+    bonus = DisagreementBonus(3, 2, **SMALL, **RAW)
     predict(bonus, torch.ones(3), torch.ones(3))
     assert bonus(torch.randn(5, 3), torch.randn(5, 2)).abs().max() == 0
 
 
+def test_information_gain_is_the_log_ratio_of_variances():
+    bonus = InformationGainBonus(3, 2, noise_std=0.5, **SMALL, **RAW)
+    predict(bonus, torch.tensor([0.0, 0, 0, 0]), torch.tensor([2.0, 0, 0, 2]))
+    value = bonus(torch.zeros(1, 3), torch.zeros(1, 2))
+    assert value.item() == pytest.approx(2 * math.log(1 + 1 / 0.25) / 4)
+
+
+def test_the_gain_of_the_reward_counts_as_well():
+    bonus = InformationGainBonus(3, 2, **SMALL)
+    assert bonus.ensemble.network.layers[-1].bias.shape[-1] == 4
+
+
+@pytest.mark.parametrize(("past", "rises"), [(5.0, True), (-5.0, False)])
+def test_the_weight_rises_while_the_policy_gains_less_than_it_did(past, rises):
+    bonus = InformationGainBonus(3, 2, **SMALL)
+    bonus.tuned_weight.past.fill_(past)
+    for _ in range(5):
+        bonus.observe(transition(), lambda observation: torch.zeros(len(observation), 2))
+    assert (bonus.metrics()["weight"] > 1).item() is rises
+
+
+def test_the_weight_stays_without_a_policy_or_where_it_is_not_tuned():
+    for bonus, policy in (
+        (InformationGainBonus(3, 2, **SMALL), None),
+        (InformationGainBonus(3, 2, tune_weight=False, **SMALL), lambda o: torch.zeros(len(o), 2)),
+    ):
+        bonus.tuned_weight.past.fill_(5.0)
+        bonus.observe(transition(), policy)
+        assert bonus.metrics()["weight"].item() == 1
+
+
 def test_members_come_to_agree_where_they_are_trained_and_not_elsewhere():
-    bonus = DisagreementBonus(3, 2, num_members=3, hidden_dims=(32,), **RAW)
+    bonus = DisagreementBonus(3, 2, **SMALL | {"num_members": 3, "hidden_dims": (32,)}, **RAW)
     batch = transition(256)
     bonus.observe(batch)
     optimizer = torch.optim.Adam(bonus.parameters(), lr=3e-3)
@@ -52,6 +85,12 @@ def test_members_come_to_agree_where_they_are_trained_and_not_elsewhere():
     assert far > 10 * near
 
 
-def test_one_member_cannot_disagree():
+@pytest.mark.parametrize("kind", [DisagreementBonus, InformationGainBonus])
+def test_one_member_cannot_disagree(kind):
     with pytest.raises(ValueError, match="`num_members` must be at least 2"):
-        DisagreementBonus(3, 2, num_members=1)
+        kind(3, 2, num_members=1)
+
+
+def test_noise_without_width_is_rejected():
+    with pytest.raises(ValueError, match="`noise_std` must be positive and finite, got 0"):
+        InformationGainBonus(3, 2, noise_std=0.0)

@@ -4,13 +4,12 @@ import torch
 from deep_curiosity.bonuses.baselines import HashCountBonus
 from deep_curiosity.transitions import Transition
 
+RAW = {"weight": 1.0, "center": False, "scale": False, "refresh_interval": 1}
+
 
 def transition(state):
     flag = torch.zeros(len(state), dtype=torch.bool)
     return Transition(state, torch.zeros(len(state), 1), flag.float(), state, flag, flag)
-
-
-RAW = {"weight": 1.0, "center": False, "scale": False, "refresh_interval": 1}
 
 
 def compute(bonus, state):
@@ -26,14 +25,14 @@ def test_the_bonus_falls_with_the_root_of_the_count():
     assert compute(bonus, state).item() == pytest.approx(1 / 4)
 
 
-def test_a_state_that_was_never_observed_earns_one():
+def test_what_was_never_visited_earns_one():
     bonus = HashCountBonus(2, 1, **RAW)
     bonus.observe(transition(torch.randn(50, 2)))
     assert compute(bonus, torch.tensor([[40.0, -60.0]])).item() == 1
 
 
 def test_a_state_keeps_its_code_while_statistics_go_on():
-    bonus = HashCountBonus(2, 1, **RAW)
+    bonus = HashCountBonus(2, 1, refresh_interval=1)
     state = torch.randn(20, 2)
     bonus.observe(transition(state))
     before = bonus._slots(state)
@@ -42,17 +41,17 @@ def test_a_state_keeps_its_code_while_statistics_go_on():
 
 
 def test_states_on_one_ray_have_different_codes():
-    bonus = HashCountBonus(1, 1, **RAW)
+    bonus = HashCountBonus(1, 1)
     bonus.observe(transition(torch.randn(50, 1)))
     near, far = bonus._slots(torch.tensor([[0.1], [2.0]])).unbind(1)
     assert not near.equal(far)
 
 
-def test_more_bits_distinguish_states_more_finely():
+def test_more_bits_tell_states_apart_more_finely():
     state = torch.randn(200, 2)
     numbers = []
     for bits in (2, 8, 32):
-        bonus = HashCountBonus(2, 1, bits=bits, **RAW)
+        bonus = HashCountBonus(2, 1, bits=bits)
         bonus.observe(transition(state))
         numbers.append(len(bonus._slots(state)[0].unique()))
     assert numbers[0] <= 4 < numbers[1] < numbers[2]

@@ -4,8 +4,6 @@ import torch
 from deep_curiosity.bonuses.baselines import ICMBonus
 from deep_curiosity.transitions import Transition
 
-RAW = {"weight": 1.0, "center": False, "scale": False, "refresh_interval": 1}
-
 
 def transition(batch=64):
     flag = torch.zeros(batch, dtype=torch.bool)
@@ -15,7 +13,7 @@ def transition(batch=64):
 
 
 def test_in_the_state_it_is_half_the_squared_error_of_the_forward_model():
-    bonus = ICMBonus(3, 2, features="state", hidden_dims=(8,), **RAW)
+    bonus = ICMBonus(3, 2, weight=1.0, features="state", hidden_dims=(8,))
     with torch.no_grad():
         bonus.forward_model.layers[-1].weight.zero_()
         bonus.forward_model.layers[-1].bias.zero_()
@@ -32,7 +30,7 @@ def test_the_forward_model_does_not_shape_its_own_target():
     assert all(parameter.grad is None for parameter in bonus.encoder.parameters())
 
 
-def test_features_come_to_identify_what_was_done():
+def test_features_come_to_reveal_the_action():
     bonus = ICMBonus(3, 2, feature_dim=8, hidden_dims=(32,))
     batch = transition(256)
     optimizer = torch.optim.Adam(bonus.parameters(), lr=3e-3)

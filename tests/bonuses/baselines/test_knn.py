@@ -19,8 +19,9 @@ def compute(bonus, state):
 
 
 def small(**options):
-    raw = {"weight": 1.0, "center": False, "scale": False, "refresh_interval": 1}
-    return NearestNeighboursBonus(1, 1, **raw | {"neighbours": 2, "memory": 4} | options)
+    return NearestNeighboursBonus(
+        1, 1, weight=1.0, center=False, scale=False, **{"neighbours": 2, "memory": 4} | options
+    )
 
 
 def test_the_bonus_is_the_log_of_the_mean_distance_to_the_nearest():

@@ -3,8 +3,6 @@ import torch
 from deep_curiosity.bonuses.baselines import RNDBonus
 from deep_curiosity.transitions import Transition
 
-RAW = {"weight": 1.0, "center": False, "scale": False, "refresh_interval": 1}
-
 
 def transition(observation):
     flag = torch.zeros(len(observation), dtype=torch.bool)
@@ -13,7 +11,9 @@ def transition(observation):
 
 
 def test_the_bonus_is_the_mean_squared_error_over_features():
-    bonus = RNDBonus(3, 2, random_features=4, hidden_dims=(8,), **RAW)
+    bonus = RNDBonus(
+        3, 2, weight=1.0, center=False, scale=False, random_features=4, hidden_dims=(8,)
+    )
     with torch.no_grad():
         for network, value in ((bonus.random, 0.0), (bonus.predictor, [1.0, 0, 2, 0])):
             network.layers[-1].weight.zero_()
@@ -28,14 +28,14 @@ def test_the_random_network_is_never_learned():
     assert all(parameter.grad is None for parameter in bonus.random.parameters())
 
 
-def test_states_that_were_learned_earn_less_than_new_ones():
-    bonus = RNDBonus(3, 2, random_features=8, hidden_dims=(32,), **RAW | {"scale": True})
-    known, new = torch.randn(256, 3), torch.randn(256, 3) + 3
-    bonus.observe(transition(known))
+def test_what_was_visited_earns_less_than_what_was_not():
+    bonus = RNDBonus(3, 2, center=False, random_features=8, hidden_dims=(32,))
+    visited, new = torch.randn(256, 3), torch.randn(256, 3) + 3
+    bonus.observe(transition(visited))
     optimizer = torch.optim.Adam(bonus.predictor.parameters(), lr=3e-3)
     for _ in range(300):
         optimizer.zero_grad()
-        bonus.loss(transition(known)).backward()
+        bonus.loss(transition(visited)).backward()
         optimizer.step()
     action = torch.zeros(256, 2)
-    assert bonus(new, action, new).mean() > 5 * bonus(known, action, known).mean()
+    assert bonus(new, action, new).mean() > 5 * bonus(visited, action, visited).mean()

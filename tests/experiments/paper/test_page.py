@@ -41,7 +41,7 @@ def test_script_writes_the_tables_and_the_page_of_the_documentation(tmp_path):
     command = [sys.executable, ROOT / "scripts/paper.py", "--out", tmp_path / "paper"]
     subprocess.run(command, check=True)
     names = {path.name for path in (tmp_path / "paper").iterdir()}
-    assert names == {path.name for path in DOCS.iterdir() if path.stem != "exam"}
+    assert names == {path.name for path in DOCS.iterdir()}
     for name in names:
         if not name.endswith(".png"):
             assert (tmp_path / "paper" / name).read_bytes() == (DOCS / name).read_bytes()

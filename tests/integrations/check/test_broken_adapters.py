@@ -8,14 +8,14 @@ from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.buffers import ReplayBuffer, RolloutBuffer
 
 import deep_curiosity_envs  # noqa: F401  # registers the task
+from deep_curiosity.bonuses.baselines import ConstantBonus
+from deep_curiosity.integrations.check import check_integration
 from deep_curiosity.integrations.stable_baselines3 import (
     CuriousReplayBuffer,
     CuriousRolloutBuffer,
     StableBaselinesIntegration,
     StableBaselinesOnPolicyIntegration,
 )
-from deep_curiosity.integrations.check import check_integration
-from deep_curiosity.bonuses.baselines import ConstantBonus
 from deep_curiosity.transitions import Transition
 
 NUM_STEPS = 250  # an episode of 200 is cut off by its clock
@@ -26,7 +26,7 @@ def make_env():
 
 
 def bonus_of_step(buffer, observation, next_observation, action):
-    """What the bonus says of one step as it now stands."""
+    """The bonus of one step as it now stands."""
     number = torch.zeros(1)
     step = Transition(
         *(torch.tensor(np.asarray(part), dtype=torch.float32) for part in (observation, action)),
@@ -37,7 +37,7 @@ def bonus_of_step(buffer, observation, next_observation, action):
     )
     if not buffer.attachment.learner.every.num_calls:
         buffer.attachment.learn(step)
-    return buffer.attachment.ask(step).numpy()
+    return buffer.attachment.compute(step).numpy()
 
 
 class Dropping(CuriousReplayBuffer):
@@ -77,11 +77,11 @@ class AfterAdvantages(CuriousRolloutBuffer):
         RolloutBuffer.compute_returns_and_advantage(self, last_values, dones)
         rollout = self.transition()
         self._learn(rollout)
-        self.rewards = self.rewards + self.attachment.ask(rollout).numpy().reshape(-1, 1)
+        self.rewards = self.rewards + self.attachment.compute(rollout).numpy().reshape(-1, 1)
 
 
 def sac(buffer=CuriousReplayBuffer, bonus="curiosity"):
-    options = {"bonus_kwargs": {"hidden_dims": (8,), "member_per_row": True}}
+    options = {"bonus_kwargs": {"hidden_dims": (8,), "members": "round_robin"}}
     model = SAC(
         "MlpPolicy",
         make_env(),

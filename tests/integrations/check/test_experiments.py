@@ -1,4 +1,4 @@
-
+import numpy as np
 import pytest
 import torch
 
@@ -9,25 +9,25 @@ QUESTIONS = ["finite", "not constant", "raw", "ends", "targets", "fresh", "actor
 
 
 @pytest.fixture
-def settings(tiny):
+def config(tiny):
     return tiny.override(hidden_dim=8, batch_size=16)
 
 
 @pytest.mark.parametrize("bonus", ["curiosity", "information-gain", "hash-count"])
-def test_the_trainers_own_agent_passes(settings, bonus):
-    report = check_integration(LearnerIntegration(settings.override(bonus=bonus)), num_steps=250)
+def test_the_trainers_own_agent_passes(config, bonus):
+    report = check_integration(LearnerIntegration(config.override(bonus=bonus)), num_steps=250)
     assert [finding.question for finding in report.findings] == QUESTIONS
     assert report.passed, report
     assert all(finding.passed for finding in report.findings), report
 
 
-def test_ends_are_not_judged_before_an_episode_has_ended(settings):
-    report = check_integration(LearnerIntegration(settings), num_steps=50)
+def test_ends_are_not_judged_before_an_episode_has_ended(config):
+    report = check_integration(LearnerIntegration(config), num_steps=50)
     assert report["ends"].passed is None and report.passed
 
 
-def test_a_constant_bonus_fails_by_its_line_and_no_other(settings):
-    report = check_integration(LearnerIntegration(settings.override(bonus="constant")))
+def test_a_constant_bonus_fails_by_its_line_and_no_other(config):
+    report = check_integration(LearnerIntegration(config.override(bonus="constant")))
     assert [f.question for f in report.findings if f.passed is False] == ["not constant"]
     assert not report.passed
 
@@ -36,7 +36,7 @@ class Broken(LearnerIntegration):
     """An agent whose user made a mistake; copies make it again."""
 
     def load(self, folder):
-        other = type(self)(self.settings)
+        other = type(self)(self.config)
         other.learner.load_state_dict(torch.load(folder / "checkpoint.pt"))
         return other
 
@@ -44,38 +44,41 @@ class Broken(LearnerIntegration):
 class Forgetful(Broken):
     def load(self, folder):
         other = super().load(folder)
-        other.bonus.load_state_dict(type(self)(self.settings).bonus.state_dict())
+        other.bonus.load_state_dict(type(self)(self.config).bonus.state_dict())
         return other
 
 
 class Muddled(Broken):
-    """Stores the clock's end as the world's."""
+    """Stores truncation as termination."""
 
-    def __init__(self, settings):
-        super().__init__(settings)
+    def __init__(self, config):
+        super().__init__(config)
         store = self.learner.store
         self.learner.store = lambda step: store(
-            step._replace(terminated=step.terminated or step.truncated, truncated=False)
+            step._replace(
+                terminated=step.terminated | step.truncated,
+                truncated=np.zeros_like(step.truncated),
+            )
         )
 
 
 class Lost(Broken):
     """Stores the first observation of the next episode as the last one of this."""
 
-    def __init__(self, settings):
-        super().__init__(settings)
+    def __init__(self, config):
+        super().__init__(config)
         store = self.learner.store
         first = self.environment.reset(seed=3)[0]
         self.learner.store = lambda step: store(
-            step._replace(next_observation=first) if step.truncated else step
+            step._replace(next_observation=first[None]) if step.truncated.any() else step
         )
 
 
 class Deaf(Broken):
-    """Its actor does not listen to the curiosity critic."""
+    """Its actor leaves the curiosity critic aside."""
 
-    def __init__(self, settings):
-        super().__init__(settings)
+    def __init__(self, config):
+        super().__init__(config)
         values = self.learner.agent._values
         self.learner.agent._values = lambda *args: (values(*args)[0], 0.0)
 
@@ -84,19 +87,19 @@ class Deaf(Broken):
     ("broken", "question"),
     [(Forgetful, "state"), (Muddled, "ends"), (Lost, "ends"), (Deaf, "actor")],
 )
-def test_a_mistake_fails_by_its_line_and_says_what_to_do(settings, broken, question):
-    report = check_integration(broken(settings), num_steps=250)
+def test_a_mistake_fails_by_its_line_and_says_what_to_do(config, broken, question):
+    report = check_integration(broken(config), num_steps=250)
     assert [f.question for f in report.findings if f.passed is False] == [question], report
     assert f"-> {report[question].advice}" in str(report)
 
 
-def test_an_agent_that_cannot_learn_is_told_by_its_error(settings):
-    agent = LearnerIntegration(settings)
+def test_an_agent_that_cannot_learn_is_reported_with_its_error(config):
+    agent = LearnerIntegration(config)
     agent.learner.update = lambda: torch.zeros(2) @ torch.zeros(3)
     report = check_integration(agent, num_steps=50)
-    assert report["finite"].passed is False and "RuntimeError" in report["finite"].seen
+    assert report["finite"].passed is False and "RuntimeError" in report["finite"].observed
 
 
-def test_a_run_without_a_bonus_cannot_be_checked(settings):
+def test_a_run_without_a_bonus_cannot_be_checked(config):
     with pytest.raises(ValueError, match="`bonus` must not be 'none'"):
-        LearnerIntegration(settings.override(bonus="none"))
+        LearnerIntegration(config.override(bonus="none"))

@@ -5,18 +5,18 @@ from deep_curiosity.integrations.check import Finding, Report
 REPORT = Report(
     (
         Finding("raw", True, "all is well", "unneeded"),
-        Finding("fresh", None, "not asked", "unneeded"),
+        Finding("fresh", None, "not answered", "unneeded"),
     )
 )
 FAILED = Report((*REPORT.findings, Finding("state", False, "lost", "save it")))
 
 
-def test_what_was_not_asked_does_not_fail():
+def test_what_was_not_answered_does_not_fail():
     assert REPORT.passed and not FAILED.passed
 
 
 def test_a_line_is_found_by_its_question():
-    assert FAILED["state"].seen == "lost"
+    assert FAILED["state"].observed == "lost"
     with pytest.raises(KeyError):
         REPORT["state"]
 
@@ -24,7 +24,7 @@ def test_a_line_is_found_by_its_question():
 def test_the_table_says_what_to_do_only_where_a_line_failed():
     assert str(FAILED).splitlines() == [
         "raw    yes  all is well",
-        "fresh  -    not asked",
+        "fresh  -    not answered",
         "state  NO   lost",
         "            -> save it",
     ]

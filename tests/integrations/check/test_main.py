@@ -16,18 +16,20 @@ def check(*arguments):
 def test_a_task_is_profiled_and_the_bonus_checked():
     done = check("PendulumSwingup", "--num-steps", "300", "--num-updates", "20")
     assert done.returncode == 0, done.stderr
-    for told in ("excess kurtosis", "targets", "floor_share", "noise floor makes"):
-        assert told in done.stdout
+    for word in ("excess kurtosis", "targets", "floor_share", "noise floor makes"):
+        assert word in done.stdout
 
 
-def test_the_window_that_is_asked_for_is_profiled():
-    done = check("PendulumSwingup", "--history", "2", "--num-steps", "300", "--num-updates", "1")
+def test_the_frame_stack_is_profiled():
+    done = check(
+        "PendulumSwingup", "--frame-stack", "2", "--num-steps", "300", "--num-updates", "1"
+    )
     assert done.returncode == 0, done.stderr
     features = [line.split()[0] for line in done.stdout.splitlines() if line[:9].strip().isdigit()]
     assert features == [str(number) for number in range(2 * 3 + 1)]
 
 
-def test_a_useless_bonus_is_told_by_the_exit_status():
+def test_a_useless_bonus_is_reported_by_the_exit_status():
     done = check("PendulumSwingup", "--num-steps", "100", "--bonus", "constant")
     assert done.returncode == 1 and "not constant  NO" in done.stdout
 
@@ -39,6 +41,6 @@ def test_a_useless_bonus_is_told_by_the_exit_status():
         (["PendulumSwingup", "--bonus", "luck"], "error: `bonus` must be one of"),
     ],
 )
-def test_what_cannot_be_checked_is_said_in_a_line(arguments, message):
+def test_what_cannot_be_checked_is_reported_in_a_line(arguments, message):
     done = check(*arguments)
     assert done.returncode != 0 and message in done.stderr and "Traceback" not in done.stderr

@@ -24,24 +24,24 @@ class Scripted(gymnasium.Env):
         return np.array(next(self.observations)), self.steps, False, self.steps % 5 == 0, {}
 
 
-def test_ranges_are_those_seen():
-    seen = profile(Scripted([(i, 7) for i in range(10)]), num_steps=10)
-    first, second = seen.features()
+def test_ranges_are_those_observed():
+    found = profile(Scripted([(i, 7) for i in range(10)]), num_steps=10)
+    first, second = found.features()
     assert (first["lowest"], first["highest"], first["std"]) == ("0", "9", "2.87")
-    assert second["mind"] == "never moves"
-    assert seen.reward_range == (1.0, 10.0) and seen.num_episodes == 2
+    assert second["note"] == "never moves"
+    assert found.reward_range == (1.0, 10.0) and found.num_episodes == 2
 
 
-def test_heavy_tails_are_told_from_light_ones():
+def test_heavy_tails_are_distinguished_from_light_ones():
     random = np.random.default_rng(0)
     values = np.stack([random.standard_t(2, 2_000), random.normal(size=2_000)], axis=1)
     heavy, light = profile(Scripted(values), num_steps=2_000).features()
-    assert heavy["mind"] == "heavy tail" and light["mind"] == ""
+    assert heavy["note"] == "heavy tail" and light["note"] == ""
 
 
 def test_what_is_not_finite_is_counted_and_left_out():
-    seen = profile(Scripted([(1, 1), (np.nan, 1), (np.inf, 1), (2, 1)]), num_steps=4)
-    assert seen.num_not_finite == 2 and len(seen.observation) == 2
+    found = profile(Scripted([(1, 1), (np.nan, 1), (np.inf, 1), (2, 1)]), num_steps=4)
+    assert found.num_not_finite == 2 and len(found.observation) == 2
 
 
 def test_an_environment_of_nothing_but_nan_is_an_error():

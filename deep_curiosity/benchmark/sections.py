@@ -1,0 +1,177 @@
+"""What the benchmark measures, section by section: agents, sizes, tables, pictures and texts."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Literal
+
+import torch
+
+from deep_curiosity.benchmark import figures, page
+from deep_curiosity.benchmark.agents import Row, measure_agents
+from deep_curiosity.benchmark.costs import measure_bonus, measure_devices, measure_growth
+from deep_curiosity.benchmark.own_agent import OwnAgent
+from deep_curiosity.benchmark.runners import Runner, import_runner
+from deep_curiosity.benchmark.switches import measure_switches
+from deep_curiosity.benchmark.vector import measure_vector_environments
+from deep_curiosity.training.config import Config
+
+STABLE_BASELINES = "deep_curiosity.benchmark.stable_baselines:StableBaselines"
+ENV_ID = "HalfCheetah-v5"
+AGENTS = {
+    "plain": Config.of(env_id=ENV_ID, bonus="none"),
+    "plain, exact": Config.of("exact", env_id=ENV_ID, bonus="none"),
+    "curious": Config.of(env_id=ENV_ID, prior="learned"),
+    "curious, exact": Config.of("exact", env_id=ENV_ID, prior="learned"),
+}
+"""Our agents, as the benchmark calls them."""
+COMPILE = {"compiled": "on", "eager": "off"}
+BONUS_CALLS = 50  # in a round: a tenth of a second
+ADAPTER_CALLS = 50  # in a round: three seconds
+UPDATES = 20  # in a round: a multiple of the interval at which the marginal is renewed
+GPU_BATCHES = (256, 1_024, 4_096)
+VECTOR_STEPS = 2_000  # in a round, of all environments
+TIMED_TASKS = [  # one of each body: the other tasks move the same ones
+    f"deep_curiosity/{name}-v0"
+    for name in ("PendulumSwingup", "CartpoleSwingup", "PointMaze", "ReacherSparse")
+]
+
+Tables = dict[str, list[Row]]
+"""What was measured, by the name of the CSV file that it belongs in, without the ending."""
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """What to measure, how often, and where to."""
+
+    repeats: int = 7
+    """Rounds of measurement; everything that is compared has its turn in each."""
+    steps: int = 200
+    """Environment steps of an agent in a round; best a multiple of 20."""
+    out: Path = Path("docs/benchmark")
+    """Folder for tables, pictures and their README.md."""
+    only: (
+        Literal["agents", "switches", "bonus", "scaling", "vector", "adapters", "cuda"] | None
+    ) = None
+    """One section; the page keeps what is there of the others."""
+    peers: dict[str, str] = field(default_factory=dict)
+    """Further agents, each a name and module:callable, which makes a runner as described in
+    deep_curiosity/benchmark/runners.py."""
+
+
+@dataclass(frozen=True)
+class Section:
+    """A comparison: how it is measured, plotted and described.
+
+    Args:
+        measure: Takes the measurements.
+        text: Text of the page, from the tables in a folder.
+        plots: Picture of each table that has one.
+    """
+
+    measure: Callable[[Benchmark], Tables]
+    text: Callable[[Path], str]
+    plots: Mapping[str, Callable[[Path, list[Row]], None]] = field(default_factory=dict)
+
+
+class LeftOutError(Exception):
+    """A section that cannot be measured here, and why."""
+
+
+def measure_all_agents(benchmark: Benchmark) -> Tables:
+    """Ours, compiled and eager, and Stable-Baselines3's, with its precision and with ours."""
+    precision = torch.get_float32_matmul_precision()
+    own = {
+        f"{name}, {how}": config.override(compile=switch, matmul_precision=precision)
+        for name, config in AGENTS.items()
+        for how, switch in COMPILE.items()
+    }
+    runners: dict[str, Callable[[], Runner]] = {
+        **{name: partial(OwnAgent, config) for name, config in own.items()},
+        page.AS_USED: partial(import_runner, STABLE_BASELINES, ENV_ID, "highest"),
+        page.SAME_PRECISION: partial(import_runner, STABLE_BASELINES, ENV_ID, precision),
+        **{name: partial(import_runner, address) for name, address in benchmark.peers.items()},
+    }
+    rows, processes = measure_agents(
+        runners, own, repeats=benchmark.repeats, steps=benchmark.steps
+    )
+    return {"agents": rows, "processes": processes}
+
+
+def measure_all_switches(benchmark: Benchmark) -> Tables:
+    """The default agents with one optimisation off after another."""
+    precision = torch.get_float32_matmul_precision()
+    agents = {
+        name: AGENTS[name].override(compile="on", matmul_precision=precision)
+        for name in ("plain", "curious")
+    }
+    rows = measure_switches(agents, repeats=benchmark.repeats, steps=benchmark.steps)
+    return {"switches": rows}
+
+
+def measure_full_bonus(benchmark: Benchmark) -> Tables:
+    """The full bonus against the ensemble's pass alone."""
+    return {"bonus": measure_bonus(repeats=benchmark.repeats, calls=BONUS_CALLS)}
+
+
+def measure_scaling(benchmark: Benchmark) -> Tables:
+    """An update as one size after another grows."""
+    config = AGENTS["curious"].override(compile="off")
+    return {"scaling": measure_growth(config, repeats=benchmark.repeats, updates=UPDATES)}
+
+
+def measure_vector(benchmark: Benchmark) -> Tables:
+    """The tasks of this package, many environments at a time."""
+    rows = measure_vector_environments(TIMED_TASKS, repeats=benchmark.repeats, steps=VECTOR_STEPS)
+    return {"vector": rows}
+
+
+def measure_all_adapters(benchmark: Benchmark) -> Tables:
+    """What an adapter costs beyond the bonus itself."""
+    try:
+        from deep_curiosity.benchmark.adapters import measure_adapters
+    except ImportError as error:
+        raise LeftOutError(str(error)) from error
+    return {"adapters": measure_adapters(ENV_ID, repeats=benchmark.repeats, calls=ADAPTER_CALLS)}
+
+
+def measure_cuda(benchmark: Benchmark) -> Tables:
+    """Agents, and an update as the batch grows, on a GPU and on the CPU beside it."""
+    if not torch.cuda.is_available():
+        raise LeftOutError("torch sees no GPU")
+    runners: dict[str, Callable[[], Runner]] = {
+        f"{name}, {how}, {device}": partial(
+            OwnAgent, AGENTS[name].override(compile=COMPILE[how], device=device)
+        )
+        for device, ways in {"cuda": ("compiled", "eager"), "cpu": ("compiled",)}.items()
+        for name in ("plain", "curious")
+        for how in ways
+    }
+    for device in ("cuda", "cpu"):
+        runners[f"{page.AS_USED}, {device}"] = partial(
+            import_runner, STABLE_BASELINES, ENV_ID, "highest", device
+        )
+    rows, processes = measure_agents(runners, {}, repeats=benchmark.repeats, steps=benchmark.steps)
+    updates = measure_devices(
+        AGENTS["curious"], GPU_BATCHES, repeats=benchmark.repeats, updates=UPDATES
+    )
+    return {"cuda_agents": rows, "cuda_processes": processes, "cuda_updates": updates}
+
+
+SECTIONS = {
+    "agents": Section(measure_all_agents, page.agents_section, {"agents": figures.plot_agents}),
+    "switches": Section(
+        measure_all_switches, page.switches_section, {"switches": figures.plot_switches}
+    ),
+    "bonus": Section(measure_full_bonus, page.bonus_section, {"bonus": figures.plot_bonus}),
+    "scaling": Section(measure_scaling, page.growth_section, {"scaling": figures.plot_growth}),
+    "vector": Section(measure_vector, page.vector_section, {"vector": figures.plot_vector}),
+    "adapters": Section(measure_all_adapters, page.adapters_section),
+    "cuda": Section(
+        measure_cuda,
+        page.cuda_section,
+        {"cuda_agents": figures.plot_agents, "cuda_updates": figures.plot_devices},
+    ),
+}
+"""All sections by name, in the order of the page."""

@@ -1,0 +1,88 @@
+"""One set of defaults: what a config says is what the class does by itself."""
+
+import inspect
+from dataclasses import MISSING, fields
+
+import pytest
+
+from deep_curiosity.bonuses.baselines import ConstantBonus
+from deep_curiosity.bonuses.config import (
+    BONUS_CONFIGS,
+    BaselineConfig,
+    CuriosityConfig,
+    DynamicsConfig,
+    MarginalConfig,
+    bonus_config,
+)
+from deep_curiosity.bonuses.curiosity import CuriosityBonus
+from deep_curiosity.bonuses.dynamics import DynamicsEnsemble
+from deep_curiosity.bonuses.marginal import NextStateMarginal
+
+BASELINES = [kind for kind in BONUS_CONFIGS.values() if issubclass(kind, BaselineConfig)]
+OF_THE_LEARNER = {"model_learning_rate"}  # no argument of a bonus, which has no optimiser
+PAIRS = {
+    "dynamics": (
+        DynamicsConfig,
+        DynamicsEnsemble,
+        {field.name for field in fields(DynamicsConfig)},
+    ),
+    "marginal": (MarginalConfig, NextStateMarginal, {"components", "bandwidth"}),
+    "curiosity": (CuriosityConfig, CuriosityBonus, {"weight", "refresh_interval"}),
+} | {
+    kind.kind: (kind, kind.bonus_class, {field.name for field in fields(kind)} - OF_THE_LEARNER)
+    for kind in BASELINES
+}
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_the_default_of_a_setting_is_the_default_of_the_class(name):
+    config, kind, names = PAIRS[name]
+    parameters = inspect.signature(kind.__init__).parameters
+    defaults = {field.name: field.default for field in fields(config) if field.name in names}
+    assert defaults.keys() == names
+    assert MISSING not in defaults.values()
+    assert defaults == {each: parameters[each].default for each in names}
+
+
+def test_every_baseline_is_among_the_pairs():
+    assert len(BASELINES) == 6
+    assert set(BONUS_CONFIGS) == {*PAIRS, "constant", "none"} - {"dynamics", "marginal"}
+
+
+@pytest.mark.parametrize("name", BONUS_CONFIGS)
+def test_a_config_knows_whether_its_bonus_scores_outcomes(name):
+    config = bonus_config(name)
+    bonus = config.make(3, 2, (8,))
+    assert config.scores_outcomes is (bonus is not None and bonus.scores_outcomes)
+
+
+@pytest.mark.parametrize("name", BONUS_CONFIGS)
+def test_an_optimiser_is_made_where_something_learns(name):
+    config = bonus_config(name)
+    bonus = config.make(3, 2, (8,))
+    optimizer = config.make_optimizer(bonus)
+    learns = bonus is not None and any(each.requires_grad for each in bonus.parameters())
+    assert (optimizer is not None) is learns
+    if learns:
+        assert optimizer.learning_rate == config.model_learning_rate
+
+
+def test_the_constant_is_its_weight():
+    bonus = bonus_config("constant").make(3, 2, (8,))
+    assert isinstance(bonus, ConstantBonus) and bonus.value.item() == pytest.approx(0.1)
+
+
+def test_curiosity_is_about_given_entries_unless_others_were_chosen():
+    assert CuriosityConfig().about((0, 1)).features == (0, 1)
+    assert CuriosityConfig(features=(2,)).about((0, 1)).features == (2,)
+    assert bonus_config("rnd").about((0, 1)) == bonus_config("rnd")
+
+
+def test_a_way_of_forgetting_where_nothing_is_forgotten_is_rejected():
+    with pytest.raises(ValueError, match="`marginal_forgetting` must be 'window' where no"):
+        MarginalConfig(forgetting="exponential")
+
+
+def test_an_unknown_kind_is_rejected():
+    with pytest.raises(ValueError, match=r"`bonus` must be one of curiosity, .*, got 'luck'"):
+        bonus_config("luck")

@@ -1,0 +1,93 @@
+import imageio.v2 as imageio
+import numpy as np
+import pytest
+import torch
+from imageio.v3 import immeta
+
+from deep_curiosity.training import train
+from deep_curiosity.training.checkpoint import load_checkpoint
+from deep_curiosity.training.collector import evaluate
+from deep_curiosity.training.environments import make_environment
+from deep_curiosity.training.playback import load_agent, load_policy, record_episode, write_video
+from deep_curiosity.training.run import EVALUATION_SEED
+
+
+@pytest.fixture
+def environment(tiny):
+    environment = make_environment(tiny.environment)
+    yield environment
+    environment.close()
+
+
+def test_the_policy_is_that_of_the_runs_own_evaluation(tiny, environment):
+    summary = train(tiny, show_progress=False)
+    policy = load_policy(tiny.run.out, tiny, environment)
+    (episode,) = evaluate(policy, environment, episodes=1, seed=EVALUATION_SEED)
+    evaluations = load_checkpoint(tiny.run.out)["run_log"]["evaluations"]
+    assert episode[:2] == evaluations[-1][:2]
+    assert summary["evaluation_return"] == pytest.approx(
+        np.mean([each[0] for each in evaluations])
+    )
+
+
+def test_the_agent_is_as_the_newest_checkpoint_has_it(tiny, environment):
+    train(tiny, show_progress=False)
+    agent = load_agent(tiny.run.out, tiny, environment)
+    saved = load_checkpoint(tiny.run.out)["learner"]["agent"]
+    state = agent.state_dict()
+    assert state.keys() == saved.keys()
+    for name, value in state.items():
+        torch.testing.assert_close(value, saved[name], rtol=0, atol=0, equal_nan=True)
+    observation = torch.randn(4, 3)
+    policy = load_policy(tiny.run.out, tiny, environment)
+    expected = agent.act(observation, deterministic=True)
+    assert torch.equal(policy(observation, {}), expected)
+
+
+def test_a_conditioned_run_is_played_at_a_hunger(tiny, environment):
+    config = tiny.override(hunger="random")
+    train(config, show_progress=False)
+    observation = torch.randn(4, 3)
+    actions = [
+        load_policy(config.run.out, config, environment, hunger=hunger)(observation, {})
+        for hunger in (None, 1.0, 0.0)
+    ]
+    assert torch.equal(actions[0], actions[1])  # evaluations are all for reward
+    assert not torch.equal(actions[1], actions[2])
+    with pytest.raises(
+        ValueError, match=r"`hunger` must lie in \[0, 1\] where conditioned, got 2"
+    ):
+        load_policy(config.run.out, config, environment, hunger=2.0)
+
+
+def test_a_folder_without_a_checkpoint_is_named(tiny, environment, tmp_path):
+    with pytest.raises(FileNotFoundError, match="it holds none"):
+        load_policy(tmp_path, tiny, environment)
+
+
+class Painted:
+    """Paints the number of the step, in place of what MuJoCo would."""
+
+    def __init__(self, environment):
+        self.environment = environment
+        self.count = 0
+
+    def render(self):
+        self.count += 1
+        return np.full((16, 16, 3), self.count, np.uint8)
+
+
+def test_an_episode_has_a_frame_for_every_state_but_the_last(environment, monkeypatch):
+    paint = Painted(environment)
+    monkeypatch.setattr(type(environment), "render", lambda self: paint.render())
+    frames = record_episode(lambda observation, info: torch.zeros(1, 1), environment, seed=0)
+    assert len(frames) == 200  # the task's clock
+    assert [frame[0, 0, 0] for frame in frames] == list(range(1, 201))
+
+
+def test_a_video_holds_its_frames(tmp_path):
+    frames = [np.full((16, 16, 3), 60 * number, np.uint8) for number in range(4)]
+    write_video(tmp_path / "new" / "video.gif", frames, fps=10)
+    shown = imageio.mimread(tmp_path / "new" / "video.gif")
+    assert immeta(tmp_path / "new" / "video.gif", index=1)["duration"] == 100  # milliseconds
+    assert [int(frame[0, 0, 0]) for frame in shown] == [0, 60, 120, 180]

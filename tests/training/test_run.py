@@ -1,0 +1,168 @@
+import os
+import subprocess
+import sys
+
+import gymnasium
+import numpy as np
+import pytest
+import torch
+
+from deep_curiosity.replay import ReplayBuffer
+from deep_curiosity.training import Config, train
+from deep_curiosity.training.environments import make_environment
+from deep_curiosity.training.log import Log, read_config, read_progress
+from deep_curiosity.training.run import (
+    make_collector,
+    merge_config,
+    open_run,
+    peak_memory_megabytes,
+)
+
+
+@pytest.fixture
+def two_threads():
+    before = torch.get_num_threads()
+    torch.set_num_threads(2)
+    yield
+    torch.set_num_threads(before)
+
+
+def process_state():
+    return (
+        torch.get_num_threads(),
+        torch.get_float32_matmul_precision(),
+        torch.get_default_dtype(),
+        torch.is_grad_enabled(),
+        np.geterr(),
+        dict(os.environ),
+    )
+
+
+@pytest.mark.parametrize("precision", ["auto", "highest", "high", "medium"])
+def test_training_leaves_the_process_as_it_was(tiny, two_threads, monkeypatch, precision):
+    torch.set_float32_matmul_precision("high")
+    before, within = process_state(), []
+    sample_rows = ReplayBuffer.sample_rows
+
+    def sampling(self, *arguments):
+        within.append((torch.get_num_threads(), torch.get_float32_matmul_precision()))
+        return sample_rows(self, *arguments)
+
+    monkeypatch.setattr(ReplayBuffer, "sample_rows", sampling)
+    train(tiny.override(threads=1, matmul_precision=precision), show_progress=False)
+    assert process_state() == before
+    chosen = read_config(tiny.run.out).speed.matmul_precision
+    assert chosen == precision or precision == "auto"
+    assert set(within) == {(1, chosen)}
+
+
+def test_a_run_that_fails_leaves_the_process_as_it_was(tiny, two_threads, monkeypatch):
+    before = process_state()
+    monkeypatch.setattr(
+        "deep_curiosity.training.run.Run.updates_due", property(lambda self: 1 / 0)
+    )
+    with pytest.raises(ZeroDivisionError):
+        train(tiny.override(threads=1, matmul_precision="medium"), show_progress=False)
+    assert process_state() == before
+
+
+def test_everything_that_was_opened_is_closed_however_a_run_ends(tiny, monkeypatch):
+    closed = []
+
+    class Recorded(gymnasium.Wrapper):
+        def close(self):
+            closed.append("environment")
+            super().close()
+
+    monkeypatch.setattr(
+        "deep_curiosity.training.run.make_environment",
+        lambda config: Recorded(make_environment(config)),
+    )
+    monkeypatch.setattr(Log, "close", lambda self: closed.append("log"))
+    with pytest.raises(KeyError), open_run(tiny):
+        raise KeyError
+    assert sorted(closed) == ["environment", "environment", "log"]
+
+
+def test_a_run_begins_with_a_checkpoint_and_its_settings(tiny):
+    with open_run(tiny) as run:
+        assert read_config(tiny.run.out) == tiny
+        assert (tiny.run.out / "checkpoint.pt").exists()
+        assert not run.finished
+        assert run.collector.environment.num_envs == 1
+
+
+@pytest.mark.parametrize("num_envs", [1, 3])
+def test_intervals_are_reached_once_for_every_multiple(tiny, num_envs):
+    with open_run(tiny.override(num_envs=num_envs)) as run:
+        reached = []
+        for step in range(num_envs, 61, num_envs):
+            run.run_log.step = step
+            if run.reached(20):
+                reached.append(step)
+    assert len(reached) == 3
+    assert [step // 20 for step in reached] == [1, 2, 3]
+
+
+def test_a_collector_has_as_many_environments_as_are_set(tiny):
+    for num_envs in (1, 2):
+        collector = make_collector(tiny.override(num_envs=num_envs))
+        assert collector.observation.shape == (num_envs, 3)
+        collector.environment.close()
+
+
+def test_a_continued_run_may_change_its_number_of_steps_alone():
+    own = Config.of(bonus="rnd", seed=3, total_steps=700)
+    merged = merge_config(own.override(total_steps=900, out="elsewhere"), own)
+    assert merged == own.override(total_steps=900)
+    with pytest.raises(ValueError, match=r"`seed` must stay as the run in .* has it, 3, got 4"):
+        merge_config(own.override(seed=4), own)
+    with pytest.raises(ValueError, match=r"`bonus` must stay .* 'rnd', got 'icm'"):
+        merge_config(own.override(bonus="icm"), own)
+
+
+def test_the_summary_is_what_the_run_measured(tiny):
+    summary = train(tiny, show_progress=False)
+    returns = [float(row["eval/return"]) for row in read_progress(tiny.run.out)]
+    assert summary["evaluation_return"] == pytest.approx(np.mean(returns))
+    assert summary["versions"]["torch"] == torch.__version__
+    assert summary["bonus"] == "curiosity" and summary["total_steps"] == 60
+
+
+def test_peak_memory_is_above_what_is_resident():
+    assert peak_memory_megabytes() > 50
+
+
+MANY_RUNS = """
+import sys
+from pathlib import Path
+import torch
+from deep_curiosity.training import Config, train
+
+def resident():
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith("VmRSS"):
+            return int(line.split()[1])
+
+folder = Path(sys.argv[1])
+for number in range(50):
+    config = Config.of(
+        env_id="PendulumSwingup", total_steps=40, learning_starts=20, hidden_dim=16,
+        batch_size=32, components=16, evaluation_episodes=1, log_interval=20,
+        out=folder / str(number),
+    )
+    train(config, show_progress=False)
+    print("resident", number, resident())
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(sys.platform != "linux", reason="reads /proc")
+def test_fifty_runs_in_a_process_hold_no_more_memory_than_ten(tmp_path):
+    done = subprocess.run(
+        [sys.executable, "-c", MANY_RUNS, tmp_path], capture_output=True, text=True, check=True
+    )
+    lines = [line.split() for line in done.stdout.splitlines() if line.startswith("resident")]
+    resident = [int(kilobytes) for _, _, kilobytes in lines]
+    assert len(resident) == 50
+    assert resident[49] < 1.1 * resident[9], resident
