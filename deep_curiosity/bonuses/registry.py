@@ -36,7 +36,7 @@ def make_bonus(
     if name not in BONUSES:
         raise ValueError(f"`bonus` must be one of {', '.join(BONUSES)}, got {name!r}.")
     built_with: dict[str, Any] = {}
-    if callable(options.get("features")):
+    if name == "curiosity" and callable(options.get("features")):
         built_with["encoder"] = options.pop("features")
     config = bonus_config(name)
     known = flat(config)
