@@ -5,10 +5,12 @@ import torch
 from torch import nn
 
 from deep_curiosity.nn.networks import (
+    Adam,
     StackedLinear,
     StackedMLP,
     assign_rows,
     frozen,
+    log_softmax_of_rest,
     restore_order,
 )
 
@@ -75,8 +77,8 @@ def test_a_frozen_module_passes_gradients_but_keeps_none():
     network = StackedMLP(2, 3, (8,), 1)
     value = torch.randn(4, 3, requires_grad=True)
     with frozen(network):
-        answer = network(value).sum()
-    answer.backward()
+        output = network(value).sum()
+    output.backward()
     assert value.grad.abs().sum() > 0
     assert all(parameter.grad is None for parameter in network.parameters())
 
@@ -95,3 +97,39 @@ def test_what_was_frozen_before_stays_frozen():
         pass
     assert not any(parameter.requires_grad for parameter in network.layers[0].parameters())
     assert all(parameter.requires_grad for parameter in network.layers[1].parameters())
+
+
+def test_the_first_of_the_alternatives_has_logit_zero():
+    logits = torch.randn(4, 2)
+    expected = torch.log_softmax(torch.cat([torch.zeros(4, 1), logits], -1), -1)
+    torch.testing.assert_close(log_softmax_of_rest(logits), expected)
+    assert log_softmax_of_rest(torch.zeros(4, 0)).equal(torch.zeros(4, 1))
+
+
+@pytest.mark.parametrize("in_graph", [False, True])
+def test_steps_are_those_of_torch(monkeypatch, in_graph):
+    own, other = (nn.Parameter(value) for value in torch.ones(2, 3, 2).clone())
+    optimizer, reference = Adam([own], 0.1), torch.optim.Adam([other], lr=0.1)
+    for _ in range(20):
+        target = torch.randn(3, 2)
+        with monkeypatch.context() as patch:
+            patch.setattr(torch.compiler, "is_compiling", lambda: in_graph)
+            optimizer.step((own - target).square().sum())
+        reference.zero_grad()
+        (other - target).square().sum().backward()
+        reference.step()
+        torch.testing.assert_close(own, other)
+        assert own.grad is None
+
+
+def test_an_optimiser_restored_from_its_state_dict_goes_on_bit_for_bit():
+    one, other = (nn.Parameter(torch.ones(3)) for _ in range(2))
+    optimizer, restored = Adam([one], 0.1), Adam([other], 0.1)
+    for step in range(8):
+        if step == 4:
+            other.data.copy_(one.data)
+            restored.load_state_dict(optimizer.state_dict())
+        optimizer.step((one - 3).square().sum())
+        if step >= 4:
+            restored.step((other - 3).square().sum())
+    assert one.equal(other)

@@ -4,6 +4,7 @@ import torch
 from deep_curiosity.nn.statistics import (
     HASH_OFFSET,
     NUM_DRAWN,
+    WHITENINGS,
     Every,
     RobustMoments,
     RunningMoments,
@@ -130,13 +131,13 @@ def test_a_robust_scale_of_a_gaussian_is_its_standard_deviation():
     torch.testing.assert_close(moments.scale, moments.var.sqrt(), atol=0, rtol=0.07)
 
 
-def test_rows_drawn_are_a_fair_share_of_all_that_were_seen():
+def test_rows_kept_are_a_fair_sample_of_all_that_were_observed():
     rows = torch.arange(30_000.0).unsqueeze(-1)
-    drawn = robust(rows).rows[:, 0]
-    assert len(drawn.unique()) == NUM_DRAWN
-    counts = torch.histc(drawn, bins=10, min=0, max=30_000)
+    kept = robust(rows).rows[:, 0]
+    assert len(kept.unique()) == NUM_DRAWN
+    counts = torch.histc(kept, bins=10, min=0, max=30_000)
     assert (counts - NUM_DRAWN / 10).abs().max() < 60
-    places = (drawn % 16).long().bincount()  # as of 16 environments side by side
+    places = (kept % 16).long().bincount()  # as of 16 environments side by side
     assert (places - NUM_DRAWN / 16).abs().max() < 50
 
 
@@ -221,3 +222,13 @@ def test_a_standardised_value_by_hand():
 def test_a_weight_out_of_range_is_rejected(weight):
     with pytest.raises(ValueError, match=f"`weight` must be finite and not .*got {weight}"):
         Standardization(weight=weight, center=True, scale=True)
+
+
+@pytest.mark.parametrize("kind", WHITENINGS)
+def test_centre_and_scale_follow_from_a_restored_state(kind):
+    moments, restored = WHITENINGS[kind](2), WHITENINGS[kind](2)
+    moments.update(torch.randn(50, 2) * 3 + 1)
+    assert not {"center", "scale"} & moments.state_dict().keys()
+    restored.load_state_dict(moments.state_dict())
+    value = torch.randn(4, 2)
+    assert restored.normalize(value).equal(moments.normalize(value))
