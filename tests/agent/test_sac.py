@@ -7,8 +7,7 @@ import torch
 from torch.distributions import Independent, Normal, TransformedDistribution
 from torch.distributions.transforms import TanhTransform
 
-from deep_curiosity.agent.config import ConditionedHunger
-from deep_curiosity.agent.config import AgentConfig
+from deep_curiosity.agent.config import AgentConfig, ConditionedHunger
 from deep_curiosity.agent.sac import CuriousSAC
 from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.bonuses.baselines import ConstantBonus
