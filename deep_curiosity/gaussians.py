@@ -226,7 +226,7 @@ def jensen_shannon_lower(
     .. math:: -\sum_k w_k \log \sum_l w_l \exp(-BD(f_k, f_l)) \le \sum_k w_k KL(f_k \| \bar f)
 
     with the Bhattacharyya distance. Exact for components that coincide or lie far apart; zero for
-    one alone. What a sample tells of the component it is from: `KL(mixture || m)` is the mean of
+    one alone. The information of a sample about its component: `KL(mixture || m)` is the mean of
     the components' divergences to `m`, less this.
     """
     return _pairwise_information(_bhattacharyya_distance, loc, log_var, log_weight)

@@ -345,3 +345,57 @@ def test_expectations_component_by_component_are_those_of_the_mixture():
     stratified = mixture.mean(mixture.log_prob(points).mT).mean()
     sampled = mixture.log_prob(mixture.sample()).mean()
     assert stratified.item() == pytest.approx(sampled.item(), abs=0.02)
+
+
+def random_mixture(*shape):
+    """A mixture for each place of a batch, in float64."""
+    loc, log_var = torch.randn(2, *shape, dtype=torch.float64)
+    return DiagonalMixture(loc, log_var, torch.randn_like(loc[..., 0]).log_softmax(-1))
+
+
+def test_a_component_is_selected_for_each_place():
+    mixture, component = random_mixture(4, 3, 2), torch.tensor([2, 0, 1, 2])
+    loc, log_var = mixture.select(component)
+    for place, chosen in enumerate(component):
+        assert loc[place].equal(mixture.loc[place, chosen])
+        assert log_var[place].equal(mixture.log_var[place, chosen])
+
+
+def test_the_marginal_over_some_coordinates_is_exact():
+    mixture, value = random_mixture(3, 3), torch.randn(5, 3, dtype=torch.float64)
+    axis = torch.linspace(-12, 12, 2_001, dtype=torch.float64)
+    everywhere = value.unsqueeze(1).repeat(1, len(axis), 1)
+    everywhere[..., 1] = axis
+    integrated = torch.trapezoid(mixture.log_prob(everywhere).exp(), axis)
+    actual = mixture.coordinates([0, 2]).log_prob(value[:, [0, 2]])
+    torch.testing.assert_close(actual.exp(), integrated)
+
+
+def test_entropy_of_a_mixture_is_below_that_of_quadrature_and_of_one_component_exact():
+    axis = torch.linspace(-12, 12, 4_001).unsqueeze(-1)
+    mixture = two_components(0.3)
+    density = mixture.log_prob(axis).exp()
+    exact = torch.trapezoid(torch.special.entr(density), axis.squeeze(-1)).item()
+    assert exact - 0.2 < mixture.entropy().item() <= exact
+    alone = one_component(column(2.0), column(-1.0))
+    torch.testing.assert_close(alone.entropy(), gaussian_entropy(column(-2.0)))
+
+
+def test_divergence_of_two_mixtures_lies_between_its_bounds():
+    one, other = random_mixture(4, 3, 1), random_mixture(5, 1)
+    axis = torch.linspace(-20, 20, 8_001, dtype=torch.float64).unsqueeze(-1)
+    log_other = other.log_prob(axis)
+    for place in range(4):
+        own = DiagonalMixture(*(field[place] for field in one)).log_prob(axis)
+        truth = torch.trapezoid(own.exp() * (own - log_other), axis.squeeze(-1))
+        assert one.kl_lower(other)[place] - 1e-6 <= truth <= one.kl_upper(other)[place] + 1e-6
+
+
+@pytest.mark.parametrize("bound", BOUNDS)
+def test_divergence_of_a_mixture_of_one_is_that_of_its_component(bound):
+    loc, log_var, *problem = random_problem(9)
+    alone = DiagonalMixture(
+        loc.unsqueeze(-2), log_var.unsqueeze(-2), torch.zeros(4, 1, dtype=torch.float64)
+    )
+    method = alone.kl_upper if bound is kl_to_mixture_upper else alone.kl_lower
+    torch.testing.assert_close(method(DiagonalMixture(*problem)), bound(loc, log_var, *problem))

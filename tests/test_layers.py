@@ -1,4 +1,4 @@
-"""Imports go downwards, and nothing asks which bonus or prior it was given."""
+"""Imports go downwards, and nothing depends on which bonus or prior it was given."""
 
 import ast
 from collections.abc import Iterator
@@ -88,8 +88,8 @@ def subclasses(kind: type) -> set[str]:
     return {each.__name__ for each in below}.union(*(subclasses(each) for each in below))
 
 
-def asked_classes(path: Path) -> Iterator[str]:
-    """Names of the classes that a module asks for by `isinstance` or `issubclass`."""
+def checked_classes(path: Path) -> Iterator[str]:
+    """Names of the classes that a module checks for by `isinstance` or `issubclass`."""
     for node in ast.walk(ast.parse(path.read_text())):
         if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Name):
             continue
@@ -100,8 +100,8 @@ def asked_classes(path: Path) -> Iterator[str]:
 
 
 @pytest.mark.parametrize("name", MODULES)
-def test_nobody_asks_which_bonus_or_prior_it_was_given(name):
+def test_no_module_checks_which_bonus_or_prior_it_was_given(name):
     assert len(BONUSES) > 5  # all are loaded
     concrete = {kind for kind in subclasses(Bonus) | subclasses(Prior) if not kind.startswith("_")}
     assert {"CuriosityBonus", "RNDBonus", "LearnedPrior", "UniformPrior"} <= concrete
-    assert concrete.isdisjoint(asked_classes(MODULES[name]))
+    assert concrete.isdisjoint(checked_classes(MODULES[name]))

@@ -103,7 +103,7 @@ class CuriosityValueConfig(Group):
     )
     """Weight of the value in the policy's objective: a number; or adaptive, the ratio of the
     standard deviations of Q_D and Q over replay, at most 1, so that curiosity fades as reward
-    comes to tell states apart."""
+    comes to distinguish states."""
     ends: int | None = setting(None, name="curiosity_ends")
     """Environment step from which only reward counts; by default none."""
 

@@ -441,7 +441,7 @@ class CuriousSAC(nn.Module):
     def _coefficient(self, hunger: Hunger) -> Hunger:
         """Weight of the curiosity value in the policy's objective at each hunger."""
         ratio = torch.ones_like(self._hunger)
-        if self.has_curiosity_critic:  # by how much curiosity tells states apart, over reward
+        if self.has_curiosity_critic:  # by how much curiosity distinguishes states, over reward
             reward_std, curiosity_std = self.value_stds
             ratio = curiosity_std / reward_std.clamp(min=torch.finfo(reward_std.dtype).tiny)
         if self.is_conditioned:

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from deep_curiosity.transitions import Transition
 
 Policy = Callable[[Tensor], Tensor]
-"""Draws fresh actions `(batch, action_dim)` for observations `(batch, observation_dim)`."""
+"""Samples fresh actions `(batch, action_dim)` for observations `(batch, observation_dim)`."""
 
 
 class Bonus(nn.Module, ABC):
@@ -38,7 +38,7 @@ class Bonus(nn.Module, ABC):
 
     @property
     def should_skip(self) -> bool:
-        """Whether the next batch would leave no trace in `observe`. To ask changes nothing.
+        """Whether the next batch would leave no trace in `observe`: a query that changes nothing.
 
         A loop that has work to make a batch ready may spare it::
 
@@ -73,9 +73,9 @@ class Bonus(nn.Module, ABC):
 
         Args:
             transition: A batch from replay, or the newest rollout.
-            policy: Draws what the agent would do now.
-            visited: Where the agent has been of late, if not at the batch; a bonus that asks
-                nothing of the kind leaves it aside.
+            policy: Samples what the agent would do now.
+            visited: Where the agent has been of late, if not at the batch; a bonus that
+                does not depend on it leaves it aside.
         """
 
     def skip(self) -> None:

@@ -45,7 +45,7 @@ class BonusConfig(Group, ABC):
         """Build the bonus, its networks with these hidden layers; `None` for no bonus at all."""
 
     def sample_visited(self, replay: ReplayBuffer, batch_size: int) -> Transition | None:
-        """Transitions that say where the agent has been of late; `None` where nobody asks."""
+        """Transitions of late, for a bonus that depends on them; `None` for others."""
         return None
 
     def make_optimizer(self, bonus: Bonus | None) -> Adam | None:
@@ -190,11 +190,11 @@ class DynamicsConfig(Group):
     num_members: int = setting(5, at_least=2)
     """Models in the ensemble."""
     members: Literal["round_robin", "all"] = "round_robin"
-    """Let each transition train and ask one model, in round-robin order, or all of them."""
+    """Train and score each transition by one model, in round-robin order, or by all of them."""
     mixture_components: int = setting(1, name="model_mixture_components")
     """Gaussians that make up a prediction; a next state that is one of two needs two."""
     noise_floor: float = setting(0.05, above=0)
-    """Resolution at which the agent sees, in standard deviations of the observation."""
+    """Resolution of what is observed, in standard deviations of the observation."""
     whitening: Literal["moments", "robust"] = "moments"
     """Unit of the observation's entries: standard deviation, or interquartile range, which heavy
     tails do not move."""

@@ -24,8 +24,8 @@ from deep_curiosity.transitions import (
 )
 
 NUM_PROBES = 64  # pairs kept from the last refresh, on which the metrics are computed
-NUM_SAMPLES = 16  # draws from each member's prediction when the bonus is taken apart
-NUM_INFORMATION_SAMPLES = 2  # draws from each of the marginal's components, which are many
+NUM_SAMPLES = 16  # from each member's prediction when the bonus is taken apart
+NUM_INFORMATION_SAMPLES = 2  # from each of the marginal's components, which are many
 
 
 class Decomposition(NamedTuple):
@@ -57,9 +57,9 @@ class CuriosityBonus(Bonus):
 
     Args:
         dynamics: Ensemble of models of the next state. Where it gives each row to one of its
-            members, one member is asked for each pair, instead of the mean of them all: a pair's
+            members, one member scores each pair, instead of the mean of them all: a pair's
             bonus then depends on its place in the batch. Where `parts` need the information gain,
-            all members are asked all the same.
+            all members are used all the same.
         marginal: Density of the next states that one usually ends up in, over what the dynamics
             predict, or over the `entries` of it.
         weight: Factor of the standardised bonus. 0.1 suffices where there is no other signal and
@@ -156,7 +156,7 @@ class CuriosityBonus(Bonus):
 
     @property
     def ready(self) -> bool:
-        """Whether the marginal has seen a state."""
+        """Whether the marginal has a component yet."""
         return not self.marginal.is_empty
 
     @property
@@ -211,7 +211,7 @@ class CuriosityBonus(Bonus):
 
         Args:
             transition: A batch from replay, or the newest rollout.
-            policy: Draws fresh actions at the batch's observations for the marginal, so that it
+            policy: Samples fresh actions at the batch's observations for the marginal, so that it
                 follows the policy of now; `None` takes the actions that were taken.
             visited: Where the marginal's components start from, if not at the batch: the newest
                 transitions, say, for a marginal of where one usually ends up of late. All
@@ -249,13 +249,13 @@ class CuriosityBonus(Bonus):
             \frac{1}{E} \sum_e KL(p_e \| m) = KL(\bar p \| m) + JSD(p_1, \dots, p_E)
             = \frac{1}{E} \sum_e \left( H(p_e, m) - H(p_e) \right)
 
-        All are Monte Carlo means over the same draws, so the identities are exact.
+        All are Monte Carlo means over the same samples, so the identities are exact.
 
         Args:
             observation: Where.
             action: What is done there.
-            noise: Standard normal draws for each component of each member, weighed by its
-                probability; drawn afresh when `None`.
+            noise: Standard normal numbers for each component of each member, weighed by its
+                probability; sampled afresh when `None`.
         """
         prediction = self._predict(observation, action)
         loc, log_var, log_weight = prediction

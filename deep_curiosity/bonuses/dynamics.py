@@ -27,18 +27,18 @@ class DynamicsEnsemble(nn.Module):
     r"""Gaussian models `p_e(x'|x, a)` of the next state, stacked along a leading axis of members.
 
     Each member predicts the whitened change of state with its own variance. Predictions come out
-    in whitened units of the observation, where `noise_floor` is the resolution at which the agent
-    sees: no prediction is sharper than that. Where the next state is one of several, such as a
-    ball caught or dropped, several `mixture_components` make every prediction a mixture (Bishop,
-    "Mixture density networks", 1994).
+    in whitened units of the observation, where `noise_floor` is the resolution of the agent's
+    observations: no prediction is sharper than that. Where the next state is one of several, such
+    as a ball caught or dropped, several `mixture_components` make every prediction a mixture
+    (Bishop, "Mixture density networks", 1994).
 
     Args:
         observation_dim: Length of an observation.
         action_dim: Length of an action.
         hidden_dims: Width of every hidden layer.
         num_members: Number of models, at least 2: one alone cannot disagree.
-        members: `"all"` trains every member on the batch by a bootstrap, and asks every member for
-            a prediction; `"round_robin"` gives each row to one member, `r % num_members`: an
+        members: `"all"` trains every member on the batch by a bootstrap, and predicts by every
+            member; `"round_robin"` gives each row to one member, `r % num_members`: an
             unbiased estimate for as many times less as there are members.
         mixture_components: Gaussians that make up each prediction.
         noise_floor: Standard deviation added to every prediction, in whitened units.
@@ -48,7 +48,7 @@ class DynamicsEnsemble(nn.Module):
             whole observation when `None`. Inputs are whole observations either way. A module is
             kept in `state_dict`, set to evaluation, and its parameters are frozen for good: what
             is predicted must not run away from the prediction. Another callable that learns must
-            see to that itself. Both are asked once here, in float32 on the CPU.
+            see to that itself. Both are called once here, in float32 on the CPU.
 
     Raises:
         ValueError: If `num_members` is below 2, a count, dimension or the floor is not positive,
@@ -258,7 +258,7 @@ def check_members(num_members: int, members: str) -> None:
     """Reject ensembles that cannot be.
 
     Raises:
-        ValueError: If there are fewer than 2 models, or it is unknown which are asked.
+        ValueError: If there are fewer than 2 models, or it is unknown which are used.
     """
     if num_members < 2:
         raise ValueError(
@@ -270,7 +270,7 @@ def check_members(num_members: int, members: str) -> None:
 
 @torch.no_grad()
 def count_features(features: Features, observation_dim: int) -> int:
-    """Length of what `features` makes of an observation, found by asking it.
+    """Length of what `features` makes of an observation, found by calling it.
 
     Raises:
         ValueError: If it makes no batch of vectors.

@@ -43,7 +43,7 @@ class BonusLearner(nn.Module):
 
         Args:
             transition: A batch from replay, or the newest rollout.
-            policy: Draws fresh actions at the batch's observations.
+            policy: Samples fresh actions at the batch's observations.
         """
         self.bonus.observe(transition, policy)
         if not self.every.should_skip:

@@ -125,7 +125,7 @@ class NextStateMarginal(nn.Module):
     def information(self, noise: Float[Tensor, "samples components dim"]) -> Information:
         r"""Information about the next state in where one is and what one does there, in nats.
 
-        Every component `f_j` is the prediction of a state-action pair, and `x` is drawn from it:
+        Every component `f_j` is the prediction of a state-action pair, and `x` is sampled from it:
 
         .. math::
             I_{lower} = E \log \frac{f_j(x)}{\frac{1}{M} \sum_k f_k(x)}, \quad
@@ -134,11 +134,11 @@ class NextStateMarginal(nn.Module):
         With its own component included, a pair is at most `log M` nats from the mixture: the
         estimate is low on average. With it left out, nothing in the mixture knows of the pair, and
         the estimate is high on average, whatever the density: the components `f~` are widened by
-        the bandwidth, without which it would be the height of spikes over holes. A pair that is
-        asked for its bonus is no component itself, so there the question does not arise.
+        the bandwidth, without which it would be the height of spikes over holes. A pair
+        whose bonus is computed is no component itself, so there the question does not arise.
 
         Args:
-            noise: Standard normal draws for every component.
+            noise: Standard normal numbers for every component.
 
         Returns:
             Both estimates; the upper one is infinite while there are not two components.
@@ -185,7 +185,7 @@ class NextStateMarginal(nn.Module):
         self._widen()
 
     def _widen(self) -> None:
-        """Widen all components by the bandwidth, once for all questions up to the next refresh."""
+        """Widen all components by the bandwidth, once for all uses up to the next refresh."""
         exact = matmul_is_float32(self.loc.device.type)
         self._product_dtype = torch.float32 if exact else torch.float64
         self.component_log_var.copy_(torch.logaddexp(self.log_var, self.bandwidth_log_var))

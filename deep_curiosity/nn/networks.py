@@ -26,7 +26,7 @@ class StackedLinear(nn.Module):
 
     def __init__(self, members: int, in_features: int, out_features: int) -> None:
         super().__init__()
-        bound = 1 / math.sqrt(in_features)  # as torch.nn.Linear draws its own
+        bound = 1 / math.sqrt(in_features)  # as torch.nn.Linear samples its own
         self.weight = nn.Parameter(
             torch.empty(members, in_features, out_features).uniform_(-bound, bound)
         )
@@ -90,20 +90,20 @@ class StackedMLP(nn.Module):
 
 def assign_rows(
     num_rows: int, members: int, device: torch.device
-) -> tuple[Int[Tensor, "members turns"], Bool[Tensor, "members turns"]]:
+) -> tuple[Int[Tensor, "members rows"], Bool[Tensor, "members rows"]]:
     """Share rows out among members: row `r` is for member `r % members`.
 
     Returns:
         The rows of each member, the last ones repeating the first where the division leaves a
         rest, and whether each entry is no such repetition.
     """
-    turns = torch.arange(-(-num_rows // members), device=device)
-    row = torch.arange(members, device=device).unsqueeze(1) + members * turns
+    number = torch.arange(-(-num_rows // members), device=device)
+    row = torch.arange(members, device=device).unsqueeze(1) + members * number
     return row % num_rows, row < num_rows
 
 
 def restore_order(
-    value: Shaped[Tensor, "members turns *rest"], num_rows: int
+    value: Shaped[Tensor, "members rows *rest"], num_rows: int
 ) -> Shaped[Tensor, "num_rows *rest"]:
     """What members made of the rows that `assign_rows` gave them, in the order of the rows."""
     return value.transpose(0, 1).flatten(0, 1)[:num_rows]
@@ -122,7 +122,7 @@ def log_softmax_of_rest(
 def frozen(module: nn.Module) -> Iterator[None]:
     """Let gradients pass through a module without reaching its parameters.
 
-    A compiled graph computes only the gradients that are asked for, and needs no freezing.
+    A compiled graph computes only the gradients that are used, and needs no freezing.
     """
     if torch.compiler.is_compiling():
         yield
@@ -140,7 +140,7 @@ def frozen(module: nn.Module) -> Iterator[None]:
 class Adam(nn.Module):
     """Adam over the parameters of one part. Its state lies in buffers, and moves and saves so.
 
-    Gradients are asked for by parameter and never accumulate: a loss may pass through other parts
+    Gradients are computed by parameter and never accumulate: a loss may pass through other parts
     and leaves no trace in them, and `torch.compile` can take the whole step into its graph.
 
     Args:

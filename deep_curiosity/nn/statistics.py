@@ -34,7 +34,7 @@ class Every(nn.Module):
 
     @property
     def should_skip(self) -> bool:
-        """Whether the next call is to do nothing. To ask changes nothing."""
+        """Whether the next call is to do nothing. A query that changes nothing."""
         return self._num_calls % self.interval != 0
 
     def count(self) -> None:
@@ -44,7 +44,7 @@ class Every(nn.Module):
 
 
 class RunningMoments(nn.Module):
-    """Mean and variance of each feature over the rows seen so far.
+    """Mean and variance of each feature over all rows so far.
 
     Args:
         dim: Number of features.
@@ -92,7 +92,7 @@ class RunningMoments(nn.Module):
         self.mean.lerp_(batch_mean, share)
 
     def _set_units(self) -> None:
-        """Work out centre and scale once, for all questions up to the next update."""
+        """Work out centre and scale once, for all uses up to the next update."""
         self.center.copy_(self.mean)
         self.scale.copy_(torch.where(self.count < 2, 1.0, (self.var + VARIANCE_FLOOR).sqrt()))
 
@@ -100,14 +100,14 @@ class RunningMoments(nn.Module):
 class RobustMoments(RunningMoments):
     """Median and interquartile range of each feature, which heavy tails leave where they are.
 
-    They are those of a fair draw of 2 048 of the rows seen so far, exact until there are more. Of
-    a Gaussian, the scale is the standard deviation. A feature that rests in most rows and moves in
+    They are those of a fair sample of 2 048 of all rows so far, exact until there are more. Of a
+    Gaussian, the scale is the standard deviation. A feature that rests in most rows and moves in
     the others has no such range, and is scaled by its standard deviation.
 
     Args:
         dim: Number of features.
 
-    Reference: the draw keeps the rows of the least random keys, as in Efraimidis & Spirakis,
+    Reference: the sample keeps the rows of the least random keys, as in Efraimidis & Spirakis,
     "Weighted random sampling with a reservoir" (2006); a key is a hash of the row's number.
     """
 
@@ -126,7 +126,7 @@ class RobustMoments(RunningMoments):
         self.register_buffer("robust_std", torch.ones(dim))
 
     def _merge(self, value: Tensor) -> None:
-        """Let a batch take part in the draw, and measure what is drawn."""
+        """Let a batch take part in the sample, and measure it."""
         super()._merge(value)
         number = self.num_seen + torch.arange(len(value), device=value.device)
         self.num_seen.add_(len(value))
@@ -134,8 +134,8 @@ class RobustMoments(RunningMoments):
         keys, kept = torch.topk(keys, NUM_DRAWN, largest=False, sorted=True)
         self.keys.copy_(keys)
         self.rows.copy_(torch.cat([self.rows, value])[kept])
-        drawn = self.rows[: int(self.num_seen)]  # empty places have the largest keys
-        low, median, high = drawn.quantile(QUARTILES.to(drawn), dim=0)
+        sample = self.rows[: int(self.num_seen)]  # empty places have the largest keys
+        low, median, high = sample.quantile(QUARTILES.to(sample), dim=0)
         self.median.copy_(median)
         self.robust_std.copy_((high - low) / NORMAL_RANGE)
 
@@ -185,7 +185,7 @@ class Standardization(nn.Module):
         return self.weight * value
 
     def update(self, value: Float[Tensor, " batch"]) -> None:
-        """Let the statistics see a batch."""
+        """Update the statistics from a batch."""
         self.moments.update(value.unsqueeze(-1))
 
 

@@ -26,14 +26,14 @@ def compiled(
 ) -> Callable[Inputs, Output]:
     """Compile a function that takes gradients and steps optimisers inside.
 
-    Random numbers are drawn as in eager mode, so that a seed means the same in both. After the
+    Random numbers are sampled as in eager mode, so that a seed means the same in both. After the
     first calls nothing is checked any more: shapes, kinds and attributes must stay as they were.
     To set an attribute of a module that belongs to the function's owner raises an error from then
     on, since the graph would not follow; parameters, buffers and properties may be set.
 
     Args:
         function: Free of Python that looks at values of tensors.
-        speed: Where all tensors are, and what the compiler may do. On a GPU torch is asked for a
+        speed: Where all tensors are, and what the compiler may do. On a GPU torch makes a
             CUDA graph, whose outputs live until the next call.
         fall_back: Run the function as it is where it cannot be compiled; otherwise torch's error
             is raised.

@@ -1,4 +1,4 @@
-"""Computing once what a graph would compute twice, such as one pass asked for by two parts.
+"""Computing once what a graph would compute twice, such as one pass that two parts need.
 
 Torch does so for graphs of which it makes a forward and a backward part, not for one that has its
 gradients inside.
@@ -15,7 +15,7 @@ from torch._inductor.custom_graph_pass import CustomGraphPass, get_hash_for_file
 class Deduplication(CustomGraphPass):
     """Pass over a graph of torch's own operations: equal ones of equal inputs become one.
 
-    What draws random numbers stays apart, and so does what the graph returns.
+    What samples random numbers stays apart, and so does what the graph returns.
     """
 
     def __call__(self, graph: fx.Graph) -> None:

@@ -71,7 +71,7 @@ def matmul_rate(
 
 
 def should_compile(config: SpeedConfig, num_updates: float) -> bool:
-    """Whether so many updates are to be compiled; `"auto"` asks if it is worth its time."""
+    """Whether so many updates are to be compiled; `"auto"` does where it is worth its time."""
     if config.compile != "auto":
         return config.compile == "on"
     return num_updates >= WORTH_COMPILING and _has_compiler(config.device)

@@ -24,7 +24,7 @@ def memory_kept() -> Iterator[None]:
     An update frees some megabytes and takes them again at once; given back to the system, they
     return page by page, which took a third of an update where it was measured. It walks through
     tens of megabytes, too: of pages of 4 kB these are more than the processor knows by heart. And
-    what is freed in small pieces is joined at once, not whenever a large block is asked for.
+    what is freed in small pieces is joined at once, not whenever a large block is requested.
 
     Behind the block the C library's usual thresholds hold again, and what is free goes back to the
     system. One thing does not come back: glibc no longer moves its threshold for large blocks by

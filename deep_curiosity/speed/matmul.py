@@ -13,7 +13,7 @@ INSTRUCTIONS = ("AVX2", "AVX512")  # for which torch writes the kernel, at run t
 def direct_matmul() -> dict[str, Any]:
     """Options of torch's compiler for them, none where torch's own products do other work.
 
-    That is where `torch.set_float32_matmul_precision` asks for less than float32, where threads
+    That is where `torch.set_float32_matmul_precision` is set to less than float32, where threads
     share a product, and on CPUs the kernel is not for.
     """
     applies = (

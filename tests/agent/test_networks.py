@@ -330,3 +330,13 @@ def test_the_squash_cancels_from_a_difference_of_log_densities():
     one, other = torch.randn(2, 9, dtype=torch.float64)
     squashed = squashed_log_prob(one, pre_action) - squashed_log_prob(other, pre_action)
     torch.testing.assert_close(squashed, one - other)
+
+
+@pytest.mark.parametrize("components", [1, 3])
+def test_a_policy_can_be_computed_from_its_last_hidden_layer(components):
+    policy = GaussianPolicy(3, 2, mixture_components=components, hidden_dims=(8, 6))
+    observation = torch.randn(5, 3)
+    hidden = policy.hidden(observation)
+    assert hidden.shape == (5, 6)
+    for field, expected in zip(policy.at(hidden), policy(observation), strict=True):
+        torch.testing.assert_close(field, expected)

@@ -7,7 +7,7 @@ import torch
 from torch.distributions import Independent, Normal, TransformedDistribution
 from torch.distributions.transforms import TanhTransform
 
-from deep_curiosity.agent.config import ConditionedHunger
+from deep_curiosity.agent.config import AgentConfig, ConditionedHunger
 from deep_curiosity.agent.sac import CuriousSAC
 from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.bonuses.baselines import ConstantBonus
@@ -978,3 +978,17 @@ def test_a_curiosity_coefficient_of_zero_switches_it_off_where_conditioned_too()
 def test_a_fixed_curiosity_coefficient_is_a_setting(coefficient):
     agent = small_agent(curiosity_coefficient=coefficient)
     assert agent.curiosity_coefficient == coefficient
+
+
+def test_the_default_agent_is_that_of_its_configuration():
+    torch.manual_seed(1)
+    one = CuriousSAC(3, 2)
+    torch.manual_seed(1)
+    other = CuriousSAC.default(3, 2)
+    assert one.config == other.config == AgentConfig()
+    assert_same_state(one, other)
+
+
+def test_an_unknown_setting_of_the_agent_is_refused():
+    with pytest.raises(TypeError, match=r"`modes` is no setting here; there are hidden_dim, .*"):
+        CuriousSAC.default(3, 2, modes=2)

@@ -399,7 +399,7 @@ def test_an_error_names_argument_rule_and_value():
 
 
 @pytest.mark.parametrize("question", ["forward", "nats", "decompose"])
-def test_nothing_can_be_asked_before_anything_is_observed(question):
+def test_nothing_can_be_computed_before_anything_is_observed(question):
     batch = random_transition()
     with pytest.raises(RuntimeError, match="`observe`"):
         getattr(small_bonus(), question)(batch.observation, batch.action)
@@ -625,7 +625,7 @@ def test_a_part_alone_is_what_sampling_says(part, name, sign, members):
     bonus, batch = watchful_bonus(parts={part: 2.0}, noise_floor=0.3, members=members, **RAW)
     noise = torch.randn(400, 3, 32, 1, 3)
     sampled = getattr(bonus.decompose(batch.observation, batch.action, noise), name).mean()
-    bonus.dynamics.members = "all"  # so that all are asked, as in what is sampled
+    bonus.dynamics.members = "all"  # as in what is sampled
     closed = bonus(batch.observation, batch.action).mean()
     torch.testing.assert_close(closed, 2 * sign * sampled, atol=0.1, rtol=0.05)
 
@@ -639,7 +639,7 @@ def test_information_gain_needs_all_members_even_where_rows_are_shared_out():
     assert bonus(*pair).equal(whole(*pair))
 
 
-def test_a_part_that_needs_one_member_asks_one_for_each_row():
+def test_a_part_that_needs_one_member_is_computed_by_one_for_each_row():
     bonus = bonus_of(1.0, 3.0, -2.0, parts={"cross_entropy": 1.0}, members="round_robin", **RAW)
     bonus.observe(random_transition(64, 2, 2))
     pairs = random_transition(7, 2, 2)
@@ -752,7 +752,7 @@ def test_the_marginal_starts_where_one_has_been_of_late_and_statistics_do_not():
     assert recent.marginal.loc[20:].equal((late.observation.tanh() + 7)[:12])
 
 
-def test_whitening_does_not_see_where_one_has_been_of_late():
+def test_whitening_ignores_where_one_has_been_of_late():
     bonus, alone = small_bonus(), small_bonus()
     batch = random_transition()
     bonus.observe(batch, visited=random_transition()), alone.observe(batch)
@@ -793,3 +793,30 @@ def test_a_weight_that_follows_the_past_is_earned_in_standard_deviations():
     earned = 10 - bonus.tuned_weight.log_factor.item() / 3e-4
     assert abs(earned) < 10
     assert "weight" not in watchful_bonus()[0].metrics()
+
+
+def test_a_marginal_of_another_length_is_rejected():
+    dynamics = DynamicsEnsemble(3, 2, hidden_dims=(8,))
+    with pytest.raises(
+        ValueError, match=r"`marginal` must be over the 3 features .*got one over 2"
+    ):
+        CuriosityBonus(dynamics, NextStateMarginal(2))
+    with pytest.raises(
+        ValueError, match=r"`marginal` must be over the 1 features .*got one over 3"
+    ):
+        CuriosityBonus(dynamics, NextStateMarginal(3), entries=(0,))
+
+
+def test_the_default_bonus_is_that_of_its_parts():
+    torch.manual_seed(1)
+    by_name = CuriosityBonus.default(3, 2)
+    torch.manual_seed(1)
+    of_parts = CuriosityBonus(DynamicsEnsemble(3, 2), NextStateMarginal(3))
+    batch = random_transition()
+    for bonus in (by_name, of_parts):
+        torch.manual_seed(2)
+        bonus.loss(batch)
+        bonus.observe(batch)
+    assert_unchanged(by_name, of_parts.state_dict())
+    pair = batch.observation, batch.action
+    assert by_name(*pair).equal(of_parts(*pair))

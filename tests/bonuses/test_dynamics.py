@@ -494,3 +494,19 @@ def test_features_that_are_no_vectors_or_not_finite_are_rejected():
         ensemble.observe(random_transition(64))
     after = ensemble.state_dict()
     assert all(before[name].nan_to_num().equal(after[name].nan_to_num()) for name in before)
+
+
+@pytest.mark.parametrize("batch", [1, 2, 7])
+def test_in_round_robin_order_each_row_is_predicted_by_one_member(batch):
+    ensemble = small_ensemble(mixture_components=2)
+    rows = random_transition(batch)
+    everyone = ensemble(rows.observation, rows.action)
+    one = ensemble.round_robin(rows.observation, rows.action)
+    for field, of_all in zip(one, everyone, strict=True):
+        expected = torch.stack([of_all[row % 3, row] for row in range(batch)]).unsqueeze(0)
+        torch.testing.assert_close(field, expected)
+
+
+def test_an_unknown_choice_of_members_is_rejected():
+    with pytest.raises((ValueError, TypeError), match="members"):
+        small_ensemble(members="best")

@@ -44,3 +44,8 @@ def test_features_of_curiosity_may_be_entries_or_a_function():
     function = make_bonus("curiosity", 3, 2, features=lambda observation: observation[:, :2])
     assert entries.entries.tolist() == [0, 2] and entries.dynamics.predicted_dim == 3
     assert function.entries is None and function.dynamics.predicted_dim == 2
+
+
+def test_features_of_other_bonuses_are_no_setting():
+    with pytest.raises(TypeError, match="`features` is no setting here; there are bonus_weight"):
+        make_bonus("rnd", 3, 2, features=lambda observation: observation[:, :2])

@@ -197,7 +197,7 @@ def error_of(device="cpu", options=None, bonus="{}", speed=None):
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
 def test_on_a_gpu_compiled_updates_give_the_same_numbers_and_wait_for_nothing():
-    one_component = {"policy_mixture_components": 1}  # torch 2.11 reorders its draws
+    one_component = {"policy_mixture_components": 1}  # torch 2.11 reorders its samples
     assert error_of("cuda", one_component) < 1e-4
 
 

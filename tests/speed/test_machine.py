@@ -67,7 +67,7 @@ def test_a_precision_that_is_named_is_taken_without_measuring_any(monkeypatch):
 
 
 def test_the_precision_asked_for_is_taken():
-    assert [choose_matmul_precision(asked) for asked in ("high", "medium")] == ["high", "medium"]
+    assert [choose_matmul_precision(named) for named in ("high", "medium")] == ["high", "medium"]
 
 
 def test_the_fastest_precision_is_taken_that_is_float32(monkeypatch):

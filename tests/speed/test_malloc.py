@@ -15,7 +15,7 @@ pytestmark = pytest.mark.skipif(
 )
 
 
-def outcome(*lines):
+def printed_number(*lines):
     """What a fresh process prints, which keeps its memory."""
     code = [
         "import torch",
@@ -28,7 +28,7 @@ def outcome(*lines):
 
 
 def test_freed_memory_does_not_return_page_by_page():
-    faults = outcome(
+    faults = printed_number(
         "from resource import RUSAGE_SELF, getrusage",
         TAKE,
         "del blocks",
@@ -44,7 +44,7 @@ def test_freed_memory_does_not_return_page_by_page():
     reason="the system grants no huge pages",
 )
 def test_memory_lies_in_huge_pages():
-    kilobytes = outcome(
+    kilobytes = printed_number(
         TAKE,
         "from pathlib import Path",
         "lines = Path('/proc/self/smaps_rollup').read_text().splitlines()[1:]",

@@ -12,15 +12,15 @@ TABLE_SIZES = (131_011, 131_023, 131_041)  # primes: codes that share a slot in 
 
 
 class HashCountBonus(BaselineBonus):
-    r"""One over the root of how often a state like the next one has been seen.
+    r"""One over the root of how often a state like the next one has been observed.
 
     .. math:: 1 / \sqrt{n(\phi(x'))}, \quad \phi(x) = sign(A g(x))
 
     The code is a random projection's signs (SimHash), `g` whitens by the statistics of the first
     batch, for ever: a state must keep its code. `g` also appends a one: the paper's hyperplanes
-    all pass through the origin, which tells no two states on a ray from there apart. Counts lie in
+    all pass through the origin, which gives all states on a ray from there one code. Counts lie in
     several tables, of which the least is believed. What is counted are the rows shown to
-    `observe`; of batches from replay, one state is counted as often as it is drawn.
+    `observe`; of batches from replay, one state is counted as often as it is sampled.
 
     Args:
         observation_dim: Length of an observation.
@@ -29,7 +29,7 @@ class HashCountBonus(BaselineBonus):
         center: Subtract the running mean.
         scale: Divide by the running standard deviation.
         refresh_interval: Calls of `observe` from one that looks at its batch to the next.
-        bits: Length of a code: more tell states apart more finely.
+        bits: Length of a code: more distinguish states more finely.
 
     Raises:
         ValueError: If `bits` is below 1 or above 62.
@@ -78,7 +78,7 @@ class HashCountBonus(BaselineBonus):
     def score(
         self, observation: Tensor, action: Tensor, next_observation: Tensor | None
     ) -> Tensor:
-        """One over the root of the count; 1 for what was never seen."""
+        """One over the root of the count; 1 for what was never observed."""
         assert next_observation is not None
         slot = self._slots(next_observation)
         count = self.counts.gather(1, slot).amin(0)

@@ -19,7 +19,7 @@ class ICMBonus(BaselineBonus):
 
     .. math:: \frac{1}{2} \| \hat\phi(x, a) - \phi(x') \|^2
 
-    The features `phi` are those by which an inverse model tells what was done.
+    The features `phi` are those from which an inverse model predicts what was done.
 
     Args:
         observation_dim: Length of an observation.

@@ -1,4 +1,4 @@
-"""Random network distillation: what has not been seen is predicted badly."""
+"""Random network distillation: what has not been observed is predicted badly."""
 
 from collections.abc import Sequence
 from typing import ClassVar

@@ -1,9 +1,7 @@
-import math
-
 import pytest
 import torch
 
-from deep_curiosity.bonuses.baselines import DisagreementBonus, InformationGainBonus
+from deep_curiosity.bonuses.baselines import DisagreementBonus
 from deep_curiosity.transitions import Transition
 
 SMALL = {"num_members": 2, "hidden_dims": (8,), "refresh_interval": 1, "weight": 1.0}
@@ -40,37 +38,6 @@ def test_members_that_agree_earn_nothing():
     assert bonus(torch.randn(5, 3), torch.randn(5, 2)).abs().max() == 0
 
 
-def test_information_gain_is_the_log_ratio_of_variances():
-    bonus = InformationGainBonus(3, 2, noise_std=0.5, **SMALL, **RAW)
-    predict(bonus, torch.tensor([0.0, 0, 0, 0]), torch.tensor([2.0, 0, 0, 2]))
-    value = bonus(torch.zeros(1, 3), torch.zeros(1, 2))
-    assert value.item() == pytest.approx(2 * math.log(1 + 1 / 0.25) / 4)
-
-
-def test_the_gain_of_the_reward_counts_as_well():
-    bonus = InformationGainBonus(3, 2, **SMALL)
-    assert bonus.ensemble.network.layers[-1].bias.shape[-1] == 4
-
-
-@pytest.mark.parametrize(("past", "rises"), [(5.0, True), (-5.0, False)])
-def test_the_weight_rises_while_the_policy_gains_less_than_it_did(past, rises):
-    bonus = InformationGainBonus(3, 2, **SMALL)
-    bonus.tuned_weight.past.fill_(past)
-    for _ in range(5):
-        bonus.observe(transition(), lambda observation: torch.zeros(len(observation), 2))
-    assert (bonus.metrics()["weight"] > 1).item() is rises
-
-
-def test_the_weight_stays_without_a_policy_or_where_it_is_not_tuned():
-    for bonus, policy in (
-        (InformationGainBonus(3, 2, **SMALL), None),
-        (InformationGainBonus(3, 2, tune_weight=False, **SMALL), lambda o: torch.zeros(len(o), 2)),
-    ):
-        bonus.tuned_weight.past.fill_(5.0)
-        bonus.observe(transition(), policy)
-        assert bonus.metrics()["weight"].item() == 1
-
-
 def test_members_come_to_agree_where_they_are_trained_and_not_elsewhere():
     bonus = DisagreementBonus(3, 2, **SMALL | {"num_members": 3, "hidden_dims": (32,)}, **RAW)
     batch = transition(256)
@@ -85,12 +52,6 @@ def test_members_come_to_agree_where_they_are_trained_and_not_elsewhere():
     assert far > 10 * near
 
 
-@pytest.mark.parametrize("kind", [DisagreementBonus, InformationGainBonus])
-def test_one_member_cannot_disagree(kind):
+def test_one_member_cannot_disagree():
     with pytest.raises(ValueError, match="`num_members` must be at least 2"):
-        kind(3, 2, num_members=1)
-
-
-def test_noise_without_width_is_rejected():
-    with pytest.raises(ValueError, match="`noise_std` must be positive and finite, got 0"):
-        InformationGainBonus(3, 2, noise_std=0.0)
+        DisagreementBonus(3, 2, num_members=1)
