@@ -237,13 +237,3 @@ def test_a_standardised_value_is_centred_and_scaled_where_that_is_wanted(center,
 def test_a_weight_that_is_negative_or_not_finite_is_rejected(weight):
     with pytest.raises(ValueError, match="`weight` must be finite and not negative, got"):
         Standardization(weight=weight, center=True, scale=True)
-
-
-@pytest.mark.parametrize("kind", WHITENINGS)
-def test_centre_and_scale_follow_from_a_restored_state(kind):
-    moments, restored = WHITENINGS[kind](2), WHITENINGS[kind](2)
-    moments.update(torch.randn(50, 2) * 3 + 1)
-    assert not {"center", "scale"} & moments.state_dict().keys()
-    restored.load_state_dict(moments.state_dict())
-    value = torch.randn(4, 2)
-    assert restored.normalize(value).equal(moments.normalize(value))
