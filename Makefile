@@ -40,7 +40,7 @@ figures: setup  ## run every study and write docs/study and docs/sweeps, some ho
 			motors marginal "rate --tasks PendulumSwingup" "rate --tasks HalfCheetah-v5"; do \
 		$(BIN)/python scripts/study.py $$study || exit 1; done
 
-bench: setup  ## speed, floor, memory and growth into docs/benchmark, 10 minutes on an idle machine
+bench: setup  ## speed, floor, memory and growth into docs/benchmark, half an hour on an idle machine
 	$(BIN)/python scripts/benchmark.py
 
 wheel: setup  ## build the wheel into dist/
