@@ -131,7 +131,14 @@ except Exception as error:
 """
 
 
-EXACT = {"actor_q": "min", "actor_batch_fraction": 1.0}
+EXACT = {
+    "actor_q": "min",
+    "actor_batch_fraction": 1.0,
+    "learning_rate": 3e-4,
+    "polyak": 0.005,
+    "temperature": 1.0,
+    "curiosity_coefficient": 1.0,
+}
 SEALED = """
 from copy import deepcopy
 import torch
@@ -211,6 +218,7 @@ def test_on_a_gpu_compiled_updates_give_the_same_numbers_and_wait_for_nothing():
         pytest.param(
             {
                 "hunger": "conditioned:1.0",
+                "curiosity_coefficient": "adaptive",
                 "curiosity_episodic": False,
                 "actor_batch_fraction": 0.5,
             },
