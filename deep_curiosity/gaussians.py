@@ -60,9 +60,11 @@ class DiagonalMixture(NamedTuple):
         """Mean and log variance of one component for each place."""
         return _component_of(self.loc, component), _component_of(self.log_var, component)
 
-    def coordinates(self, index: Sequence[int] | Int[Tensor, " some"]) -> "DiagonalMixture":
+    def coordinates(self, index: Sequence[int]) -> "DiagonalMixture":
         """The mixture's marginal over some coordinates, which is exact."""
-        return DiagonalMixture(self.loc[..., index], self.log_var[..., index], self.log_weight)
+        return DiagonalMixture(
+            _columns(self.loc, index), _columns(self.log_var, index), self.log_weight
+        )
 
     def entropy(self) -> Float[Tensor, "*batch"]:
         """Differential entropy, from below in nats; exact for one component."""
@@ -320,3 +322,14 @@ def _component_of(
 ) -> Float[Tensor, "*batch dim"]:
     """One component's value for each place."""
     return torch.take_along_dim(value, component[..., None, None], dim=-2).squeeze(-2)
+
+
+def _columns(
+    value: Float[Tensor, "*batch dim"], index: Sequence[int]
+) -> Float[Tensor, "*batch some"]:
+    """Some columns, by slices: in a graph, torch 2.13 gets gradients of indexed ones wrong."""
+    index = [i % value.shape[-1] for i in index]
+    starts = [place for place, i in enumerate(index) if place == 0 or i != index[place - 1] + 1]
+    runs = zip(starts, [*starts[1:], len(index)], strict=True)
+    slices = [value[..., index[start] : index[start] + stop - start] for start, stop in runs]
+    return slices[0] if len(slices) == 1 else torch.cat(slices, dim=-1)

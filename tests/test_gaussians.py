@@ -371,6 +371,14 @@ def test_the_marginal_over_some_coordinates_is_exact():
     torch.testing.assert_close(actual.exp(), integrated)
 
 
+@pytest.mark.parametrize("index", [[1], [0, 1, 2], [2, 0, 1], [-1, 1], [-2, -1, 0]])
+def test_coordinates_are_those_named_in_their_order(index):
+    mixture = random_mixture(3, 3)
+    some = mixture.coordinates(index)
+    assert some.loc.equal(mixture.loc[..., index])
+    assert some.log_var.equal(mixture.log_var[..., index])
+
+
 def test_entropy_of_a_mixture_is_below_that_of_quadrature_and_of_one_component_exact():
     axis = torch.linspace(-12, 12, 4_001).unsqueeze(-1)
     mixture = two_components(0.3)

@@ -87,7 +87,6 @@ class CuriosityBonus(Bonus):
     learning" (2012), equations (18)-(20).
     """
 
-    entries: Tensor | None
     probe_observation: Tensor
     probe_action: Tensor
 
@@ -112,9 +111,7 @@ class CuriosityBonus(Bonus):
         self.coefficients = coefficients_of(parts)
         self.dynamics = dynamics
         chosen = None if entries is None else check_entries(entries, dynamics.predicted_dim)
-        self.register_buffer(
-            "entries", None if chosen is None else torch.tensor(chosen), persistent=False
-        )
+        self.entries = chosen
         _check_marginal(marginal, dynamics.predicted_dim if chosen is None else len(chosen))
         self.marginal = marginal
         self.standardization = Standardization(weight=weight, center=center, scale=scale)

@@ -42,7 +42,7 @@ def test_settings_are_given_by_their_flat_names():
 def test_features_of_curiosity_may_be_entries_or_a_function():
     entries = make_bonus("curiosity", 3, 2, features=(0, -1))
     function = make_bonus("curiosity", 3, 2, features=lambda observation: observation[:, :2])
-    assert entries.entries.tolist() == [0, 2] and entries.dynamics.predicted_dim == 3
+    assert entries.entries == [0, 2] and entries.dynamics.predicted_dim == 3
     assert function.entries is None and function.dynamics.predicted_dim == 2
 
 

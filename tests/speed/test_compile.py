@@ -180,6 +180,32 @@ for name, value in (("hunger", 3.0), ("temperature", 0.5), ("curiosity_coefficie
 """
 
 
+GRADIENTS = """
+import torch
+from deep_curiosity import CuriosityBonus
+from deep_curiosity.speed.compile import compiled
+from deep_curiosity.transitions import Transition
+
+torch.set_num_threads(1)
+torch.manual_seed(0)
+flags = torch.zeros(64, dtype=torch.bool)
+observation, next_observation = torch.randn(2, 64, 3)
+action = torch.rand(64, 2) * 2 - 1
+batch = Transition(observation, action, torch.zeros(64), next_observation, flags, flags)
+for options in (dict(features=(0, -1)), dict(members="round_robin")):
+    options = dict(num_members=2, components=64, members="all") | options
+    bonus = CuriosityBonus.default(3, 2, hidden_dims=(32, 32), **options)
+    bonus.observe(batch)
+
+    def gradient(observation, action):
+        action = action.detach().requires_grad_()
+        return torch.autograd.grad(bonus(observation, action).sum(), action)[0]
+
+    fused, eager = compiled(gradient)(observation, action), gradient(observation, action)
+    print(((fused - eager).norm() / eager.norm()).item())
+"""
+
+
 ENTRIES = """dict(
     features=(0, -1),
     bonus_parts={'predictive_power': 1.0, 'negative_entropy': 0.3},
@@ -230,6 +256,10 @@ def test_on_a_gpu_compiled_updates_give_the_same_numbers_and_wait_for_nothing():
 )
 def test_compiled_and_eager_updates_give_the_same_numbers(options, bonus, within):
     assert error_of(options=options, bonus=bonus) < within
+
+
+def test_the_compiled_gradient_of_a_bonus_in_the_action_is_the_eager_one():
+    assert all(float(error) < 1e-5 for error in output_of(GRADIENTS))
 
 
 @pytest.mark.parametrize(
