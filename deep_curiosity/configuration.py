@@ -13,17 +13,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
 from pathlib import Path
-from typing import Any, Literal, Protocol, TypeVar, Union, get_args, get_origin
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
 Nest = TypeVar("Nest", bound="Group")
-
-
-class FromText(Protocol):
-    """A value of a setting that can be written as text, by `str`, and read back."""
-
-    @classmethod
-    def parse(cls, text: str) -> Any:
-        """Read what `str` wrote."""
 
 
 class Group:

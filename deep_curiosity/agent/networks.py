@@ -158,11 +158,6 @@ class Prior(nn.Module, ABC):
     def log_prob(self, pre_action: Float[Tensor, "*batch action_dim"]) -> Float[Tensor, "*batch"]:
         """Log density of each pre-action, in nats."""
 
-    @property
-    def learns(self) -> bool:
-        """Whether the prior follows what the policy does."""
-        return any(True for _ in self.parameters())
-
     def metrics(self) -> dict[str, Tensor]:
         """What to log."""
         return {}
