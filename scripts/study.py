@@ -7,7 +7,7 @@ from typing import Annotated
 
 import tyro
 
-from deep_curiosity.experiments.grid import overridden, run_study
+from deep_curiosity.experiments.grid import overridden, part_of, run_study
 from deep_curiosity.experiments.studies import find_study
 from deep_curiosity.training.command_line import read_settings
 
@@ -23,6 +23,8 @@ class Args:
     """Seeds of each agent on each task; by default as many as the study is documented with."""
     tasks: tuple[str, ...] = ()
     """Only these tasks of the study."""
+    agents: tuple[str, ...] = ()
+    """Only these agents of the study."""
     set: tuple[str, ...] = ()
     """Settings of all runs that differ from the study's, as name=value: total_steps=24000."""
     runs: Path = Path("runs")
@@ -36,13 +38,9 @@ class Args:
 def main(args: Args) -> int:
     """Run the study; return how many runs failed."""
     name, study, folder = find_study(args.study)
-    unknown = set(args.tasks) - {task.name for task in study.tasks}
-    if unknown:
-        raise ValueError(f"`tasks` must be of the study, got {', '.join(sorted(unknown))}.")
-    tasks = [task for task in study.tasks if task.name in (args.tasks or {task.name})]
-    study = replace(study, tasks=tasks, seeds=args.seeds or study.seeds)
+    study = replace(part_of(study, args.tasks, args.agents), seeds=args.seeds or study.seeds)
     study = overridden(study, read_settings(args.set))
-    out = args.out or folder / "-".join((name, *args.tasks))
+    out = args.out or folder / "-".join((name, *args.tasks, *args.agents))
     return run_study(study, runs=args.runs / name, out=out, workers=args.workers)
 
 

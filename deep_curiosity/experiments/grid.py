@@ -25,6 +25,24 @@ def overridden(study: Study, values: dict[str, Any]) -> Study:
     return replace(study, tasks=tasks)
 
 
+def part_of(study: Study, tasks: Sequence[str], agents: Sequence[str]) -> Study:
+    """Some tasks and agents of a study, by their names; all where none is named.
+
+    Raises:
+        ValueError: If a name is none of the study's.
+    """
+    by_name = {task.name: task for task in study.tasks}
+    labels = {str(label): label for label in study.agents}
+    for name, wanted, known in (("tasks", tasks, by_name), ("agents", agents, labels)):
+        if unknown := sorted(set(wanted) - set(known)):
+            raise ValueError(f"`{name}` must be of the study, got {', '.join(unknown)}.")
+    return replace(
+        study,
+        tasks=[by_name[name] for name in tasks or by_name],
+        agents={labels[name]: study.agents[labels[name]] for name in agents or labels},
+    )
+
+
 def cells_of(study: Study, runs: Path) -> list[Cell]:
     """All runs of a study, seed by seed, each with its folder below `runs`.
 
@@ -32,7 +50,7 @@ def cells_of(study: Study, runs: Path) -> list[Cell]:
     """
     cells = [
         Cell(study, task, agent, seed, runs / task.name / f"{agent}" / f"seed{seed}")
-        for seed in range(study.seeds)
+        for seed in range(study.first_seed, study.first_seed + study.seeds)
         for task in study.tasks
         for agent in study.agents
     ]

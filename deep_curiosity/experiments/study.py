@@ -38,6 +38,7 @@ class Study:
         agents: Label of each agent, a name or the value of what is swept, to the settings that it
             changes, by their flat names.
         seeds: Number of seeds, the same ones for all, so that agents are paired.
+        first_seed: The first of them; defaults are chosen on other seeds than are reported.
         label: What the labels of the agents say, such as `"agent"` or `"hunger"`.
         columns: What of the rows goes into summary and figure.
         measure: From the settings of a finished run and its summary to rows of the table.
@@ -48,6 +49,7 @@ class Study:
     tasks: Sequence[Task]
     agents: Agents
     seeds: int = 5
+    first_seed: int = 0
     label: str = "agent"
     columns: Sequence[str] = ("evaluation_return", "mean_training_return", "first_success_step")
     measure: Callable[[Config, Row], list[Row]] = measure_run

@@ -852,7 +852,8 @@ def test_information_of_the_actions_is_bounded_from_both_sides_and_leaves_the_ra
     assert metrics["action_information_lower"] > 0
 
 
-@pytest.mark.parametrize("factor", [pytest.param(0.01, marks=pytest.mark.slow), 100.0])
+@pytest.mark.slow
+@pytest.mark.parametrize("factor", [0.01, 100.0])
 def test_the_rate_is_held_from_any_start_within_a_factor_of_a_hundred(factor):
     """Episodes of one step, in which the best action is a linear function of the state."""
     torch.manual_seed(0)

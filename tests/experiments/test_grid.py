@@ -7,7 +7,7 @@ import pytest
 
 from deep_curiosity import __version__
 from deep_curiosity.experiments import runs
-from deep_curiosity.experiments.grid import cells_of, compare, overridden, run_study
+from deep_curiosity.experiments.grid import cells_of, compare, overridden, part_of, run_study
 from deep_curiosity.experiments.study import Study, Task
 from deep_curiosity.training import Config
 from deep_curiosity.training.source import source_commit
@@ -90,3 +90,17 @@ def test_the_first_agent_is_compared_with_each_other(make_rows):
     study = Study([Task("maze", Config())], {"good": {}, "bad": {}}, columns=("area",))
     rows = make_rows(study, lambda agent: 10.0 if agent == "good" else 0.0)
     assert "| bad | 1 [1, 1] |" in compare(study, rows)[0]
+
+
+def test_a_part_of_a_study_is_named_by_tasks_and_agents(small_study):
+    part = part_of(small_study, [small_study.tasks[1].name], ["none"])
+    assert [task.name for task in part.tasks] == [small_study.tasks[1].name]
+    assert list(part.agents) == ["none"]
+    assert part_of(small_study, [], []) == small_study
+    with pytest.raises(ValueError, match="`agents` must be of the study, got nobody"):
+        part_of(small_study, [], ["nobody"])
+
+
+def test_seeds_begin_where_a_study_says(small_study, tmp_path):
+    cells = cells_of(replace(small_study, first_seed=100), tmp_path)
+    assert sorted({cell.seed for cell in cells}) == [100, 101]

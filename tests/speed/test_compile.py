@@ -258,6 +258,7 @@ def test_compiled_and_eager_updates_give_the_same_numbers(options, bonus, within
     assert error_of(options=options, bonus=bonus) < within
 
 
+@slow
 def test_the_compiled_gradient_of_a_bonus_in_the_action_is_the_eager_one():
     assert all(float(error) < 1e-5 for error in output_of(GRADIENTS))
 
@@ -267,7 +268,7 @@ def test_the_compiled_gradient_of_a_bonus_in_the_action_is_the_eager_one():
     [
         pytest.param({"direct_matmul": False}, marks=slow),
         pytest.param({"deduplicate": False}, marks=slow),
-        {"direct_matmul": False, "deduplicate": False},
+        pytest.param({"direct_matmul": False, "deduplicate": False}, marks=slow),
     ],
 )
 def test_switches_of_the_compiler_leave_the_results_as_they_are(speed):

@@ -7,6 +7,7 @@ from pathlib import Path
 from deep_curiosity.experiments.study import Study
 
 FOLDERS = {
+    "development": Path("docs/development"),
     "comparisons": Path("docs/study"),
     "sweeps": Path("docs/sweeps"),
     "illustrations": Path("docs/study"),

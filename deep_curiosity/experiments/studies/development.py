@@ -1,0 +1,43 @@
+"""The tasks on which defaults are chosen, on seeds that are reported nowhere else."""
+
+from deep_curiosity.experiments.runs import measure_area
+from deep_curiosity.experiments.studies.comparisons import MAZE, MOUNTAIN_CAR, PENDULUM, SMALL
+from deep_curiosity.experiments.study import Agents, Study, Task
+
+HALF = {"update_to_data": 0.5, "evaluation_interval": 2_000}
+TASKS = (
+    Task(PENDULUM.name, PENDULUM.config.override(**HALF), PENDULUM.solved_return),
+    Task(MAZE.name, MAZE.config.override(**HALF, total_steps=16_000), MAZE.solved_return),
+    Task(
+        "PointMaze, ends at goal",
+        MAZE.config.override(**HALF, total_steps=16_000, env_kwargs={"goal_terminates": 1.0}),
+        solved_return=0.5,  # half of the one reward there is
+    ),
+    Task(
+        MOUNTAIN_CAR.name,
+        MOUNTAIN_CAR.config.override(**HALF, total_steps=12_000),
+        MOUNTAIN_CAR.solved_return,
+    ),
+    Task(
+        "CartpoleSwingup",
+        SMALL.override(**HALF, env_id="CartpoleSwingup", total_steps=20_000),
+        solved_return=100.0,
+    ),
+    Task(
+        "dm_control cartpole-swingup_sparse",
+        SMALL.override(**HALF, env_id="dm_control/cartpole-swingup_sparse-v0", total_steps=20_000),
+        solved_return=500.0,
+    ),
+)
+AGENTS: Agents = {"default": {}}
+
+STUDIES = {
+    "development": Study(
+        TASKS,
+        AGENTS,
+        seeds=8,
+        first_seed=100,
+        columns=("area", "evaluation_return"),
+        measure=measure_area,
+    )
+}
