@@ -1,7 +1,8 @@
 """Repeating an update of a policy: damping in log space, convergence and cycles."""
 
+import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -96,12 +97,23 @@ def iterate(
         log_policy = damp(log_policy, target, damping)
         changes = [np.abs(np.exp(log_policy) - policy).max() for policy in recent]
         recent.appendleft(np.exp(log_policy))
-        if min(changes) <= tolerance:
+        converged, cycles = changes[0] <= tolerance, _cycles(changes, tolerance)
+        if converged or cycles:
             break
         if halving and turns_back(recent):
             damping, tolerance = damping / 2, tolerance / 2
     trace.append(step(log_policy)[1])
-    converged = bool(changes[0] <= tolerance)
-    cycles = not converged and min(changes) <= tolerance
     cycle_length = int(np.argmin(changes)) + 1 if cycles else None
-    return Solution(log_policy, np.array(trace), converged, cycle_length)
+    return Solution(log_policy, np.array(trace), bool(converged), cycle_length)
+
+
+def _cycles(changes: Sequence[float], tolerance: float) -> bool:
+    """Whether a policy has come back while each step still goes far.
+
+    Steps that alternate and slowly shrink come back as well, nearly; but they are short by then.
+
+    Args:
+        changes: From the newest policy to those before it, newest first.
+        tolerance: Largest change that counts as none.
+    """
+    return bool(min(changes) <= tolerance and changes[0] > math.sqrt(tolerance))

@@ -16,6 +16,7 @@ from deep_curiosity.tabular.information import (
     to_bits,
     to_nats,
 )
+from deep_curiosity.tabular.iteration import iterate
 from deep_curiosity.tabular.markov import (
     action_values,
     optimal_action_values,
@@ -94,6 +95,46 @@ def test_iteration_as_written_falls_into_a_two_cycle():
         written = solve_stationary(mdp, start, temperature=0.3, damping=1.0)
         assert written.cycle_length == 2 and not written.converged
         assert bits_of(mdp, written.policy) == pytest.approx(0, abs=1e-6)
+
+
+def nearly_split(flips):
+    """Both actions in use, FLIP with some probability, in one state by a little more."""
+    policy = np.full((2, 101), 1e-30)
+    policy[:, 0], policy[:, -1] = 1 - flips, flips
+    policy[0, 0], policy[0, -1] = 1 - flips + 1e-4, flips - 1e-4
+    return np.log(policy)
+
+
+@pytest.mark.parametrize(
+    ("flips", "temperature", "cycles"),
+    [(0.5, 0.9, True), (0.5, 1.1, False), (0.3, 0.8, True), (0.3, 0.9, False), (0.7, 0.9, False)],
+)
+def test_at_given_states_an_imbalance_is_multiplied_by_the_variance_of_the_split(
+    flips, temperature, cycles
+):
+    """By `-4 s (1 - s) / lambda`; what alternates and shrinks slowly is no cycle."""
+    mdp = clever_random()
+
+    def step(log_policy):
+        return curious_step(mdp.transition, log_policy, mdp.start, np.zeros((2, 101)), temperature)
+
+    solution = iterate(step, nearly_split(flips), damping=1.0)
+    assert solution.converged is not cycles
+    assert solution.cycle_length == (2 if cycles else None)
+
+
+@pytest.mark.parametrize(
+    ("flips", "temperature", "cycles"),
+    [(0.3, 1.0, True), (0.3, 1.5, False), (0.7, 0.5, True), (0.7, 0.7, False)],
+)
+def test_at_its_own_states_the_imbalance_counts_the_more_the_rarer_it_flips(
+    flips, temperature, cycles
+):
+    """By `-2 (1 - f) / lambda`: a chain that stays is longer where it is more probable."""
+    start = nearly_split(flips)
+    solution = solve_stationary(clever_random(), start, temperature=temperature, damping=1.0)
+    assert solution.converged is not cycles
+    assert solution.cycle_length == (2 if cycles else None)
 
 
 def test_what_the_two_cycle_reports_is_more_than_the_mdp_can_carry():
