@@ -1,5 +1,3 @@
-import pytest
-
 from deep_curiosity.benchmark.figures import plot_switches
 from deep_curiosity.benchmark.page import switches_section
 from deep_curiosity.benchmark.sections import AGENTS
@@ -7,6 +5,7 @@ from deep_curiosity.benchmark.switches import SWITCHES, measure_switches
 from deep_curiosity.experiments.tables import write_table
 
 
+@pytest.mark.slow
 def test_every_agent_is_measured_with_every_switch_off_and_with_none(tiny):
     agents = {
         "plain": tiny.override(bonus="none", compile="off"),

@@ -60,6 +60,7 @@ def on_one_thread():
     torch.set_num_threads(threads)
 
 
+@pytest.mark.slow
 def test_products_are_those_of_the_matrices_however_they_lie_in_memory():
     operands = ", ".join(f"{name!r}: ({pair})" for name, pair in OPERANDS.items())
     batches, matrices, *compared = output_of(

@@ -1,10 +1,12 @@
 """The tasks on which defaults are chosen, on seeds that are reported nowhere else."""
 
+from typing import Any
+
 from deep_curiosity.experiments.runs import measure_area
 from deep_curiosity.experiments.studies.comparisons import MAZE, MOUNTAIN_CAR, PENDULUM, SMALL
 from deep_curiosity.experiments.study import Agents, Study, Task
 
-HALF = {"update_to_data": 0.5, "evaluation_interval": 2_000}
+HALF: dict[str, Any] = {"update_to_data": 0.5, "evaluation_interval": 2_000}
 TASKS = (
     Task(PENDULUM.name, PENDULUM.config.override(**HALF), PENDULUM.solved_return),
     Task(MAZE.name, MAZE.config.override(**HALF, total_steps=16_000), MAZE.solved_return),
@@ -29,7 +31,16 @@ TASKS = (
         solved_return=500.0,
     ),
 )
-AGENTS: Agents = {"default": {}}
+AGENTS: Agents = {
+    "default": {},
+    "moments": {"whitening": "moments"},
+    "256 components": {"components": 256},
+    "nothing forgotten": {"marginal_half_life": None},
+    "smaller estimate": {"curiosity_estimate": "min"},
+    "soft backup": {"soft_backup": True},
+    "layer norm": {"critic_layer_norm": True},
+    "learned prior": {"prior": "learned"},
+}
 
 STUDIES = {
     "development": Study(

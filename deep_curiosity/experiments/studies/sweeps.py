@@ -31,7 +31,7 @@ SMALL = Config.of(hidden_dim=64, log_interval=500, evaluation_interval=2_000)
 HALVED = SMALL.override(update_to_data=0.5, total_steps=16_000)
 WIDE = SMALL.override(hidden_dim=128, total_steps=30_000, evaluation_interval=1_500)
 COST: dict[str, Any] = {"env_kwargs": {"action_cost": 0.1}}
-FADING: dict[str, Any] = {"marginal_horizon": 2_000, "marginal_forgetting": "exponential"}
+LASTING: dict[str, Any] = {"marginal_half_life": None}
 PAST_THE_END: dict[str, Any] = {"curiosity_episodic": False}
 DEFAULT: Agents = {"curiosity": {}}
 PLAIN_AND_DEFAULT: Agents = {"plain": {"bonus": "none"}, "default": {}}
@@ -162,7 +162,9 @@ STUDIES = {
     ),
     "noise": Study(
         [task("NoisyRoom", HALVED)],
-        DEFAULT | {"fading": FADING} | {name: {"bonus": name} for name in NOISE_BASELINES},
+        DEFAULT
+        | {"nothing forgotten": LASTING}
+        | {name: {"bonus": name} for name in NOISE_BASELINES},
         columns=NOISE,
         measure=measure_noise,
     ),
@@ -170,10 +172,13 @@ STUDIES = {
         [MAZE_HALVED],
         {
             "default": {},
-            "newest 2000": {"marginal_horizon": 2_000},
-            "half-life 2000": FADING,
+            "half-life of 2 episodes": {"marginal_half_life": 2.0},
+            "half-life of 50 episodes": {"marginal_half_life": 50.0},
+            "nothing forgotten": LASTING,
+            "256 components": {"components": 256},
             "bandwidth 0.1": {"bandwidth": 0.1},
             "perplexity": {"bandwidth": "perplexity"},
+            "moments": {"whitening": "moments"},
             "robust": {"whitening": "robust"},
             "position": {"features": (0, 1)},
         },
