@@ -4,6 +4,8 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
+LEAST_WEIGHT = 1e-2  # of a value that later nats are charged to: less is hardly heard
+
 
 def n_step_target(
     reward: Float[Tensor, "*values num_steps batch"],
@@ -32,6 +34,25 @@ def n_step_target(
     step = torch.arange(len(alive), device=reward.device).unsqueeze(-1)
     total = torch.where(alive, discount.unsqueeze(-1) ** step * reward, 0.0).sum(-2)
     return total + torch.where(terminated, 0.0, discount ** alive.sum(0) * next_value)
+
+
+def price_shares(
+    hunger: Float[Tensor, "*batch"], coefficient: Float[Tensor, "*batch"] | None
+) -> Float[Tensor, "pairs *batch"]:
+    """By how much of lambda each value is charged for a later nat, so that it costs lambda in all.
+
+    The policy maximises `hunger * Q + coefficient * Q_D`. Reward's value bears the price as far as
+    it is heard, the curiosity value what is left of it.
+
+    Args:
+        hunger: Weight of the reward's value, alpha.
+        coefficient: Weight of the curiosity value; `None` without one: reward's value then bears
+            all of the price.
+    """
+    if coefficient is None:
+        return (1 / hunger.clamp(min=LEAST_WEIGHT)).unsqueeze(0)
+    of_curiosity = (1 - hunger).clamp(min=0.0) / coefficient.clamp(min=LEAST_WEIGHT)
+    return torch.stack([1 / hunger.clamp(min=1.0), of_curiosity])
 
 
 def critic_loss(

@@ -213,6 +213,21 @@ class ReplayBuffer:
         age = (torch.log1p(-held * share) / -rate).long().clamp_(max=len(self) - 1)
         return self._at((self._num_added - 1 - age) % self.capacity)
 
+    def newest(self, num_rows: int) -> Transition:
+        """The newest transitions, oldest first: so many, or all while there are fewer.
+
+        Raises:
+            ValueError: If the buffer is empty or `num_rows` is below 1.
+        """
+        self._check_sample(num_rows=num_rows)
+        age = self._arange(min(num_rows, len(self))).flip(0)
+        return self._at((self._num_added - 1 - age) % self.capacity)
+
+    def mean_episode_length(self) -> float:
+        """Transitions held for each episode that ended among them, or all while none did."""
+        ended = (self._rows[: len(self), -2:] > 0).any(-1).sum()
+        return len(self) / max(1, int(ended))
+
     def evenly_spaced(self, num_rows: int) -> Transition:
         """Transitions at equal distances over all that is held, the same at every call.
 

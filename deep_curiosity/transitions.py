@@ -52,6 +52,20 @@ class Sequences(NamedTuple):
         rows = number * batch + torch.arange(batch, device=number.device)
         return Transition(*(field[rows] for field in self.steps))
 
+    def following(self, num_steps: int) -> Float[Tensor, "batch observation_dim"]:
+        """Where one is after the last transition within so many steps, in another episode or not.
+
+        It is the observation of the step behind it, where the sequences hold that; else the last
+        transition's own next observation.
+        """
+        last = self.last(num_steps).next_observation
+        if len(self.alive) == num_steps:
+            return last
+        batch = self.alive.shape[1]
+        number = self.alive[:num_steps].sum(0)
+        rows = number * batch + torch.arange(batch, device=number.device)
+        return self.steps.observation[rows]
+
     def check(self, observation_dim: int, action_dim: int, dtype: torch.dtype) -> None:
         """Reject sequences whose steps are no transitions, or do not fit `alive`.
 
@@ -73,6 +87,11 @@ def as_sequences(batch: Transition | Sequences) -> Sequences:
         return batch
     check_scalars("terminated", batch.terminated, torch.bool)
     return Sequences(batch, torch.ones_like(batch.terminated).unsqueeze(0))
+
+
+def every_second(transition: Transition, first: int) -> Transition:
+    """Every second row, from row `first` on."""
+    return Transition(*(field[first::2] for field in transition))
 
 
 def check_batch(name: str, value: Tensor, dim: int, dtype: torch.dtype = torch.float32) -> None:

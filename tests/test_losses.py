@@ -8,6 +8,7 @@ from deep_curiosity.losses import (
     actor_loss,
     critic_loss,
     n_step_target,
+    price_shares,
     prior_loss,
     temperature_loss,
 )
@@ -143,3 +144,18 @@ def test_over_several_steps_every_value_has_its_own_discount_and_end():
     alive = torch.ones(2, 1, dtype=torch.bool)
     target = n_step_target(reward, alive, terminated, next_value, discount)
     assert target.tolist() == [[1 + 0.5], [1 + 0.25 + 0.0625 * 8]]
+
+
+@pytest.mark.parametrize("coefficient", [0.05, 0.5, 1.0, 30.0])
+def test_a_later_nat_costs_lambda_at_every_hunger(coefficient):
+    hunger = torch.tensor([0.0, 0.3, 1.0, 4.0, 10.0])
+    weight = torch.full_like(hunger, coefficient)
+    of_reward, of_curiosity = price_shares(hunger, weight)
+    torch.testing.assert_close(hunger * of_reward + weight * of_curiosity, torch.ones(5))
+    assert (of_reward <= 1).all()  # however little reward is heard
+
+
+def test_without_a_curiosity_value_reward_bears_the_whole_price():
+    hunger = torch.tensor([0.3, 1.0, 4.0])
+    torch.testing.assert_close(hunger * price_shares(hunger, None)[0], torch.ones(3))
+    assert price_shares(torch.tensor(0.0), None).isfinite().all()

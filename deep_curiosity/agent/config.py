@@ -82,8 +82,9 @@ class RewardValueConfig(Group):
     """Steps of reward that are summed before the value is trusted. With `soft_backup` only the
     information cost after the last of them is charged."""
     soft_backup: bool | None = None
-    """Charge the value with the information cost of later actions, as soft actor-critic does; by
-    default only with the uniform prior: the paper keeps the value purely about reward."""
+    """Charge the values with the information cost of later actions, as soft actor-critic does. By
+    default only without curiosity and with the uniform prior: the paper keeps the value purely
+    about reward, and where reward is rare the cost of a thousand steps outweighs it."""
 
 
 @dataclass(frozen=True)
@@ -95,15 +96,18 @@ class CuriosityValueConfig(Group):
     writes it, differentiated through the model, and no critic learns it."""
     steps: int = setting(1, name="curiosity_steps")
     """Steps of bonus that are summed before the value is trusted."""
+    estimate: Literal["min", "mean"] = setting("mean", name="curiosity_estimate")
+    """Of the two estimates of the value at a next state: the smaller, or their mean, since what is
+    not known yet is no reason for pessimism where it is sought."""
     episodic: bool = setting(True, name="curiosity_episodic")
-    """End the value where the episode terminates; otherwise it looks past the end, as in Burda et
-    al. (2018)."""
+    """End the value where the episode terminates; otherwise it goes on from where the next episode
+    begins, as in Burda et al. (2018)."""
     coefficient: float | Literal["adaptive"] = setting(
         "adaptive", name="curiosity_coefficient", at_least=0
     )
     """Weight of the value in the policy's objective: a number; or adaptive, the ratio of the
-    standard deviations of Q_D and Q over replay, at most 1, so that curiosity fades as reward
-    comes to distinguish states."""
+    standard deviations of Q_D and hunger times Q over replay, at most 1, so that curiosity fades
+    as reward comes to distinguish states, and the sooner the hungrier the agent."""
     ends: int | None = setting(None, name="curiosity_ends")
     """Environment step from which only reward counts; by default none."""
 
@@ -131,6 +135,8 @@ class AgentConfig(Group):
     """Learning rate of policy, critics, prior and temperature."""
     polyak: float = setting(0.02, above=0, at_most=1)
     """Share of the critics that moves into the target critics at each update."""
+    critic_layer_norm: bool = False
+    """Normalise every hidden layer of the critics, which bounds what they extrapolate."""
     mixture_components: int = setting(1, name="policy_mixture_components")
     """Gaussians that make up the policy; an optimum with two peaks needs two."""
     actor_q: Literal["alternate", "min"] = "alternate"

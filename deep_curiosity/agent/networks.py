@@ -93,6 +93,7 @@ class Critics(nn.Module):
         action_dim: Length of an action.
         pairs: Number of values, each learned twice.
         hidden_dims: Width of every hidden layer.
+        layer_norm: Normalise every hidden layer, which bounds what is extrapolated.
     """
 
     def __init__(
@@ -102,10 +103,13 @@ class Critics(nn.Module):
         *,
         pairs: int = 2,
         hidden_dims: Sequence[int] = (256, 256),
+        layer_norm: bool = False,
     ) -> None:
         super().__init__()
         self.pairs = pairs
-        self.network = StackedMLP(2 * pairs, observation_dim + action_dim, hidden_dims, 1)
+        self.network = StackedMLP(
+            2 * pairs, observation_dim + action_dim, hidden_dims, 1, layer_norm=layer_norm
+        )
 
     def forward(
         self,
@@ -115,6 +119,15 @@ class Critics(nn.Module):
         """Both estimates of every value."""
         value = self.network(torch.cat([observation, action], dim=-1)).squeeze(-1)
         return value.unflatten(0, (self.pairs, 2))
+
+    def pessimistic(
+        self,
+        observation: Float[Tensor, "batch observation_dim"],
+        action: Float[Tensor, "batch action_dim"],
+    ) -> Float[Tensor, "pairs batch"]:
+        """The smaller estimate of reward's value, and the mean of the others'."""
+        value = self(observation, action)
+        return torch.cat([value[:1].amin(1), value[1:].mean(1)])
 
     def lower(
         self,
@@ -146,7 +159,7 @@ class Prior(nn.Module, ABC):
     default_rate: ClassVar[float]
     """Nats for each action dimension by which a policy may differ from the prior, by default."""
     soft_backup: ClassVar[bool]
-    """Whether the value of the reward is charged with later information costs, by default."""
+    """Whether, without curiosity, the value is charged with later information costs by default."""
     log_excess: float = 0.0
     """Log of what the density integrates to: a cost plus this is in nats from a normalised one."""
 

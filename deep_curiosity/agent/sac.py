@@ -17,6 +17,7 @@ from deep_curiosity.losses import (
     actor_loss,
     critic_loss,
     n_step_target,
+    price_shares,
     prior_loss,
     temperature_loss,
 )
@@ -96,11 +97,15 @@ class CuriousSAC(nn.Module):
         """Steps that are summed in the target of each value."""
         self.has_curiosity_critic = curiosity and config.curiosity.discount > 0
         """Whether the bonus is a reward of its own, computed once, and never maximised itself."""
+        self.looks_past_the_end = self.has_curiosity_critic and not config.curiosity.episodic
+        self.sequence_length = max(self.num_steps) + self.looks_past_the_end
+        """Steps that the sequences of a batch should have: what is summed, and what follows."""
         discounts = [config.reward.discount, config.curiosity.discount]
         discounts = discounts if self.has_curiosity_critic else discounts[:1]
         self._make_networks(pairs=len(discounts))
         soft_backup, rate = config.reward.soft_backup, config.target_information_rate
-        self.soft_backup = self.prior.soft_backup if soft_backup is None else soft_backup
+        by_default = self.prior.soft_backup and not curiosity
+        self.soft_backup = by_default if soft_backup is None else soft_backup
         default_rate = self.prior.default_rate * action_dim
         self.target_information_rate = default_rate if rate is None else rate
         self._register_state(discounts)
@@ -121,7 +126,13 @@ class CuriousSAC(nn.Module):
             mixture_components=config.mixture_components,
             hidden_dims=hidden_dims,
         )
-        self.critics = Critics(input_dim, self.action_dim, pairs=pairs, hidden_dims=hidden_dims)
+        self.critics = Critics(
+            input_dim,
+            self.action_dim,
+            pairs=pairs,
+            hidden_dims=hidden_dims,
+            layer_norm=config.critic_layer_norm,
+        )
         self.target_critics = deepcopy(self.critics).requires_grad_(False)
         self.prior = PRIORS[config.prior](self.action_dim)
 
@@ -134,7 +145,7 @@ class CuriousSAC(nn.Module):
         self.register_buffer("_hunger", torch.tensor(_first_hunger(config)))
         self.register_buffer("_fixed_coefficient", torch.tensor(fixed))
         self.register_buffer("discounts", torch.tensor(discounts).unsqueeze(-1))  # pairs 1
-        self.register_buffer("value_stds", torch.zeros(len(discounts)))  # over replay
+        self.register_buffer("value_stds", torch.zeros(1 + self.curiosity))  # over replay
         first = config.temperature
         self.temperature = first(0.0) if isinstance(first, Schedule) else first
 
@@ -331,7 +342,8 @@ class CuriousSAC(nn.Module):
         loss = critic_loss(value, target.unsqueeze(1))
         self.optimizers["critics"].step(loss)
         value = value.detach()
-        self.value_stds.lerp_(value.mean(1).std(-1, correction=0), 1 - STD_DECAY)
+        stds = value.mean(1).std(-1, correction=0)
+        self.value_stds[: len(stds)].lerp_(stds, 1 - STD_DECAY)
         return {
             "critic_loss": loss.detach(),
             "value": value[0].mean(),
@@ -350,10 +362,12 @@ class CuriousSAC(nn.Module):
         targets = {}
         for num_steps in sorted(set(self.num_steps[: len(rewards)])):
             last = sequences.last(num_steps)
-            ends = last.terminated
-            if self.has_curiosity_critic and not self.config.curiosity.episodic:
+            ends, next_observation = last.terminated, last.next_observation
+            if self.looks_past_the_end:  # to the next episode's start, which a regression fits
+                restart = sequences.following(num_steps)
+                next_observation = torch.where(ends.unsqueeze(-1), restart, next_observation)
                 ends = torch.stack([ends, torch.zeros_like(ends)])
-            next_value = self._next_values(last.next_observation, hunger)
+            next_value = self._next_values(next_observation, hunger)
             alive = sequences.alive[:num_steps]
             targets[num_steps] = n_step_target(
                 rewards[:, :num_steps], alive, ends, next_value, self.discounts
@@ -379,10 +393,14 @@ class CuriousSAC(nn.Module):
         policy_input = self.policy_input(observation, hunger)
         policy = self.policy(policy_input)
         pre_action = policy.sample()
-        value = self.target_critics.lower(policy_input, torch.tanh(pre_action))
+        mean = self.config.curiosity.estimate == "mean"
+        estimate = self.target_critics.pessimistic if mean else self.target_critics.lower
+        value = estimate(policy_input, torch.tanh(pre_action))
         if self.soft_backup:
             information_cost = policy.log_prob(pre_action) - self.prior.log_prob(pre_action)
-            value[0] -= self.log_temperature.exp() * information_cost
+            coefficient = self._coefficient(hunger) if self.has_curiosity_critic else None
+            shares = price_shares(hunger, coefficient).reshape(len(value), -1)
+            value -= self.log_temperature.exp() * shares * information_cost
         return value
 
     def _update_actor(
@@ -436,18 +454,22 @@ class CuriousSAC(nn.Module):
         else:
             assert not isinstance(bonus, Tensor)
             curiosity_value = bonus(observation.repeat(shape[0], 1), action).unflatten(0, shape)
+            std = curiosity_value.detach().std(correction=0)
+            self.value_stds[1:].lerp_(std.expand(1), 1 - STD_DECAY)
         return value[0], self._coefficient(hunger) * curiosity_value
 
     def _coefficient(self, hunger: Hunger) -> Hunger:
         """Weight of the curiosity value in the policy's objective at each hunger."""
-        ratio = torch.ones_like(self._hunger)
-        if self.has_curiosity_critic:  # by how much curiosity distinguishes states, over reward
-            reward_std, curiosity_std = self.value_stds
-            ratio = curiosity_std / reward_std.clamp(min=torch.finfo(reward_std.dtype).tiny)
+        if not self.curiosity:
+            return torch.zeros_like(hunger)
+        # by how much curiosity distinguishes states, over reward
+        reward_std, curiosity_std = self.value_stds
+        tiny = torch.finfo(reward_std.dtype).tiny
         if self.is_conditioned:
+            ratio = curiosity_std / reward_std.clamp(min=tiny)
             adaptive = (1 - hunger) / ratio.clamp(PARITY_FLOOR, 1.0)
-        else:
-            adaptive = ratio.clamp(max=1.0)
+        else:  # in the policy's objective, where reward's value counts `hunger` times
+            adaptive = (curiosity_std / (hunger * reward_std).clamp(min=tiny)).clamp(max=1.0)
         return torch.where(self._fixed_coefficient < 0, adaptive, self._fixed_coefficient)
 
     def _update_prior(self, sample: PolicySample) -> dict[str, Tensor]:

@@ -18,7 +18,7 @@ from deep_curiosity.bonuses.baselines import (
     RNDBonus,
 )
 from deep_curiosity.bonuses.curiosity import CuriosityBonus, check_entries
-from deep_curiosity.bonuses.dynamics import DynamicsEnsemble
+from deep_curiosity.bonuses.dynamics import DynamicsEnsemble, Whitening
 from deep_curiosity.bonuses.marginal import NextStateMarginal
 from deep_curiosity.configuration import Group, setting
 from deep_curiosity.nn.networks import Adam
@@ -182,6 +182,10 @@ class HashCountConfig(BaselineConfig):
     bits: int = setting(32, at_most=62)
     """Length of a code."""
 
+    def sample_visited(self, replay: ReplayBuffer, batch_size: int) -> Transition | None:
+        """The newest transitions, so that visits are counted and not draws from replay."""
+        return replay.newest(self.refresh_interval)
+
 
 @dataclass(frozen=True)
 class DynamicsConfig(Group):
@@ -195,33 +199,23 @@ class DynamicsConfig(Group):
     """Gaussians that make up a prediction; a next state that is one of two needs two."""
     noise_floor: float = setting(0.05, above=0)
     """Resolution of what is observed, in standard deviations of the observation."""
-    whitening: Literal["moments", "robust"] = "moments"
-    """Unit of the observation's entries: standard deviation, or interquartile range, which heavy
-    tails do not move."""
+    whitening: Whitening = "saturating"
+    """Unit of the observation's entries: moments is their standard deviation; robust their
+    interquartile range, which heavy tails do not move; saturating besides counts what is far from
+    the usual by its logarithm, so that ever more speed does not pay for ever."""
 
 
 @dataclass(frozen=True)
 class MarginalConfig(Group):
     """The density of usual next states."""
 
-    components: int = setting(256, at_least=2)
+    components: int = setting(2048, at_least=2)
     """Next states that make up the marginal."""
     bandwidth: float | Literal["silverman", "perplexity"] = setting("silverman", above=0)
     """Width of the marginal's kernels, in standard deviations of the components."""
-    horizon: int | None = setting(None, name="marginal_horizon")
-    """Newest transitions from which the marginal is formed; all of replay by default."""
-    forgetting: Literal["window", "exponential"] = setting("window", name="marginal_forgetting")
-    """How older transitions are forgotten where there is a horizon: at once, or by half with every
-    such number of newer ones."""
-
-    def __post_init__(self) -> None:
-        """Refuse a way of forgetting where nothing is forgotten."""
-        super().__post_init__()
-        if self.horizon is None and self.forgetting != "window":
-            raise ValueError(
-                "`marginal_forgetting` must be 'window' where no `marginal_horizon` is set, "
-                f"got {self.forgetting!r}."
-            )
+    half_life: float | None = setting(10.0, name="marginal_half_life", above=0)
+    """Episodes after which a state that was visited counts half; none forgets nothing, so that
+    p(x') is that of all replay."""
 
 
 @dataclass(frozen=True)
@@ -285,12 +279,11 @@ class CuriosityConfig(WeightedConfig):
         return self if self.features else replace(self, features=entries)
 
     def sample_visited(self, replay: ReplayBuffer, batch_size: int) -> Transition | None:
-        """Transitions within the marginal's horizon, where it has one."""
-        if self.marginal.horizon is None:
+        """Transitions of late, as the marginal forgets; the batch itself where it does not."""
+        if self.marginal.half_life is None:
             return None
-        if self.marginal.forgetting == "window":
-            return replay.sample_newest(batch_size, window=self.marginal.horizon)
-        return replay.sample_fading(batch_size, half_life=self.marginal.horizon)
+        half_life = max(1, round(self.marginal.half_life * replay.mean_episode_length()))
+        return replay.sample_fading(batch_size, half_life=half_life)
 
 
 BONUS_CONFIGS: dict[str, type[BonusConfig]] = {

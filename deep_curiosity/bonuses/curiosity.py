@@ -11,7 +11,7 @@ from torch import Tensor
 from deep_curiosity.bonuses.base import Bonus, Policy
 from deep_curiosity.bonuses.decomposition import DIVERGENCE, coefficients_of, information_gain
 from deep_curiosity.bonuses.dynamics import DynamicsEnsemble
-from deep_curiosity.bonuses.marginal import NextStateMarginal
+from deep_curiosity.bonuses.marginal import NUM_MEASURED, NextStateMarginal
 from deep_curiosity.bonuses.weight_tuning import TunedWeight
 from deep_curiosity.gaussians import DiagonalMixture, gaussian_log_prob, sample_index
 from deep_curiosity.nn.networks import frozen
@@ -21,6 +21,7 @@ from deep_curiosity.transitions import (
     check_batch,
     check_counts,
     check_transition,
+    every_second,
 )
 
 NUM_PROBES = 64  # pairs kept from the last refresh, on which the metrics are computed
@@ -46,8 +47,14 @@ class CuriosityBonus(Bonus):
 
     .. math:: D(x, a) = \frac{1}{E} \sum_e D_{KL}[p_e(x' | x, a) \,\|\, p_\pi(x')]
 
-    It is returned standardised, `weight * (D - mean) / std`, with running statistics. Pure noise
-    earns nothing once its variance is learned: `D` contains minus the conditional entropy.
+    It is returned standardised, `weight * (D - mean) / std`, cut at five standard deviations, with
+    running statistics that are measured where the bonus is asked: on states that are no components
+    of the marginal. Pure noise earns nothing once its variance is learned: `D` contains minus the
+    conditional entropy.
+
+    The marginal's components start from the newest states that were shown to `observe`, as many as
+    it has, with what the policy did there then; at every renewal all of them are predicted anew,
+    since models and units move.
 
     `parts` rewards what `D` is made of by weights of its own: `predictive_power`, the divergence
     of the members' mean prediction, and `information_gain`, what the next state would tell about
@@ -89,6 +96,9 @@ class CuriosityBonus(Bonus):
 
     probe_observation: Tensor
     probe_action: Tensor
+    visited_observation: Tensor
+    visited_action: Tensor
+    num_visited: Tensor
 
     def __init__(
         self,
@@ -117,6 +127,10 @@ class CuriosityBonus(Bonus):
         self.standardization = Standardization(weight=weight, center=center, scale=scale)
         self.tuned_weight = _make_tuned_weight(tune_weight, weight_learning_rate)
         self.every = Every(refresh_interval)
+        memory = len(marginal.loc)
+        self.register_buffer("visited_observation", torch.zeros(memory, self.observation_dim))
+        self.register_buffer("visited_action", torch.zeros(memory, self.action_dim))
+        self.register_buffer("num_visited", torch.zeros((), dtype=torch.long))
         self.register_buffer("probe_observation", torch.zeros(NUM_PROBES, self.observation_dim))
         self.register_buffer("probe_action", torch.zeros(NUM_PROBES, self.action_dim))
 
@@ -210,9 +224,9 @@ class CuriosityBonus(Bonus):
             transition: A batch from replay, or the newest rollout.
             policy: Samples fresh actions at the batch's observations for the marginal, so that it
                 follows the policy of now; `None` takes the actions that were taken.
-            visited: Where the marginal's components start from, if not at the batch: the newest
-                transitions, say, for a marginal of where one usually ends up of late. All
-                statistics stay those of the batch.
+            visited: Where the marginal's newest components start from, if not at the batch: the
+                newest transitions, say, for a marginal of where one usually ends up of late. They
+                enter at the next renewal. All statistics stay those of the batch.
 
         Raises:
             TypeError: If a field has the wrong kind.
@@ -228,11 +242,19 @@ class CuriosityBonus(Bonus):
             fresh = fresh._replace(action=policy(fresh.observation))
         if fresh is not transition:
             self._check_transition(fresh)
+        scored, late = transition, fresh
+        if not self.ready:  # half of the first batch is components, the other half is scored
+            scored, late = every_second(transition, 1), every_second(fresh, 1)
+            self._remember(every_second(fresh, 0))
         self.dynamics.observe(transition)
-        self._refresh(transition, fresh)
-        if self.tuned_weight is not None and policy is not None:
-            self._tune_weight(self.tuned_weight, fresh)
-        self.every.count()
+        self._refresh()
+        if len(scored.action):  # none of a first batch of one: the next is then due at once
+            self.every.count()
+            self.standardization.update(self._score(scored.observation, scored.action))
+            if self.tuned_weight is not None and policy is not None:
+                self._tune_weight(self.tuned_weight, late)
+        self._remember(late)  # only now: what is scored is no component itself
+        self._set_probes(transition)
 
     def decompose(
         self,
@@ -297,7 +319,8 @@ class CuriosityBonus(Bonus):
         )
         upper, lower = self.marginal.kl_upper(prediction), self.marginal.kl_lower(prediction)
         entropy = prediction.entropy()
-        shape = NUM_INFORMATION_SAMPLES, *self.marginal.loc.shape
+        number, dim = self.marginal.loc[:NUM_MEASURED].shape
+        shape = NUM_INFORMATION_SAMPLES, number, dim
         information = self.marginal.information(
             torch.randn(shape, generator=generator).to(self.probe_observation)
         )
@@ -361,20 +384,32 @@ class CuriosityBonus(Bonus):
     def _dtype(self) -> torch.dtype:
         return self.probe_observation.dtype
 
-    def _refresh(self, transition: Transition, fresh: Transition) -> None:
-        """Renew the marginal's components, the standardisation and the probes."""
-        round_robin = self._of_interest(self.dynamics.round_robin(fresh.observation, fresh.action))
-        predicted = DiagonalMixture(*(field.squeeze(0) for field in round_robin))
-        self.marginal.refresh(*predicted.select(sample_index(predicted.log_weight)))
-        observation, action = transition.observation, transition.action
-        self.standardization.update(self._score(observation, action))
-        probes = torch.arange(NUM_PROBES, device=observation.device) % observation.shape[0]
-        self.probe_observation.copy_(observation[probes])
-        self.probe_action.copy_(action[probes])
+    def _remember(self, fresh: Transition) -> None:
+        """Let visited states take the place of the oldest ones, for the next renewal."""
+        memory = len(self.visited_observation)
+        observation, action = fresh.observation[-memory:], fresh.action[-memory:]
+        slot = torch.arange(len(observation), device=observation.device) + self.num_visited
+        self.visited_observation[slot % memory] = observation
+        self.visited_action[slot % memory] = action
+        self.num_visited.add_(len(observation))
 
-    def _tune_weight(self, tuned_weight: TunedWeight, fresh: Transition) -> None:
-        """Let the weight follow what the policy's own actions earn."""
-        earned = self._score(fresh.observation, fresh.action).mean()
+    def _refresh(self) -> None:
+        """Predict all components anew: models and units have moved since the last time."""
+        num_held = min(int(self.num_visited), len(self.visited_observation))
+        pairs = self.visited_observation[:num_held], self.visited_action[:num_held]
+        round_robin = self._of_interest(self.dynamics.round_robin(*pairs))
+        predicted = DiagonalMixture(*(field.squeeze(0) for field in round_robin))
+        self.marginal.replace(*predicted.select(sample_index(predicted.log_weight)))
+
+    def _set_probes(self, transition: Transition) -> None:
+        """Keep the pairs on which the metrics are computed."""
+        probes = torch.arange(NUM_PROBES, device=transition.action.device) % len(transition.action)
+        self.probe_observation.copy_(transition.observation[probes])
+        self.probe_action.copy_(transition.action[probes])
+
+    def _tune_weight(self, tuned_weight: TunedWeight, late: Transition) -> None:
+        """Let the weight follow what fresh actions earn at states that are no components yet."""
+        earned = self._score(late.observation, late.action).mean()
         if tuned_weight.goal is None:
             moments = self.standardization.moments
             earned = (earned - moments.mean[0]) / moments.scale[0]

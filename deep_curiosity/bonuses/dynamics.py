@@ -14,6 +14,7 @@ from deep_curiosity.nn.networks import StackedMLP, assign_rows, log_softmax_of_r
 from deep_curiosity.nn.statistics import HASH_FACTOR, HASH_OFFSET, WHITENINGS, scrambled
 from deep_curiosity.transitions import Transition, check_counts, check_finite
 
+Whitening = Literal["moments", "robust", "saturating"]
 Members = Literal["round_robin", "all"]
 Features = Callable[[Tensor], Tensor]
 """What of observations `(batch, observation_dim)` is to be predicted, `(batch, features)`."""
@@ -42,8 +43,13 @@ class DynamicsEnsemble(nn.Module):
             unbiased estimate for as many times less as there are members.
         mixture_components: Gaussians that make up each prediction.
         noise_floor: Standard deviation added to every prediction, in whitened units.
-        whitening: Unit of observations and changes: their mean and standard deviation, or median
-            and interquartile range, which no tail moves.
+        whitening: Unit of observations and changes: `"moments"` is their mean and standard
+            deviation; `"robust"` median and interquartile range, which no tail moves;
+            `"saturating"` makes what is far from the usual count by its logarithm, see
+            `SaturatingMoments`. Predictions are Gaussians of the whitened state, to first order
+            in their width where it saturates; a divergence of them is that of the states
+            themselves, since the map can be inverted. What is not invariant is `noise_floor`: the
+            resolution becomes coarser as the state lies further out.
         features: Maps observations to what of the next one is predicted, in units of its own; the
             whole observation when `None`. Inputs are whole observations either way. A module is
             kept in `state_dict`, set to evaluation, and its parameters are frozen for good: what
@@ -68,12 +74,13 @@ class DynamicsEnsemble(nn.Module):
         members: Members = "round_robin",
         mixture_components: int = 1,
         noise_floor: float = 0.05,
-        whitening: Literal["moments", "robust"] = "moments",
+        whitening: Whitening = "saturating",
         features: Features | None = None,
     ) -> None:
         super().__init__()
         if whitening not in WHITENINGS:
-            raise ValueError(f"`whitening` must be 'moments' or 'robust', got {whitening!r}.")
+            choices = ", ".join(WHITENINGS)
+            raise ValueError(f"`whitening` must be one of {choices}, got {whitening!r}.")
         check_members(num_members, members)
         check_counts(
             observation_dim=observation_dim,
@@ -123,12 +130,12 @@ class DynamicsEnsemble(nn.Module):
         """
         change = self._whitened_change(observation, action)
         moments = self.feature_moments or self.observation_moments
-        ratio = self.change_moments.scale / moments.scale
-        shift = moments.normalize(self._featured(observation) + self.change_moments.center)
-        shift = shift.unsqueeze(-2)  # *members batch 1 features
+        shift = self._featured(observation) + self.change_moments.center
+        state = shift.unsqueeze(-2) + self.change_moments.scale * change.loc
+        log_ratio = (self.change_moments.scale / moments.scale).log() + moments.log_slope(state)
         log_floor = torch.full_like(change.log_var, 2 * math.log(self.noise_floor))
-        log_var = torch.logaddexp(change.log_var + 2 * ratio.log(), log_floor)
-        return DiagonalMixture(shift + ratio * change.loc, log_var, change.log_weight)
+        log_var = torch.logaddexp(change.log_var + 2 * log_ratio, log_floor)
+        return DiagonalMixture(moments.normalize(state), log_var, change.log_weight)
 
     def round_robin(
         self,

@@ -16,6 +16,7 @@ from deep_curiosity.gaussians import (
 from deep_curiosity.speed.precision import matmul_is_float32
 
 LOG_BANDWIDTH_RANGE = (math.log(1e-3), math.log(10.0))  # searched for a target perplexity
+NUM_MEASURED = 256  # components over which a mean is taken
 BISECTIONS = 20  # halvings of that range: to a factor of 1.00001
 
 
@@ -59,7 +60,7 @@ class NextStateMarginal(nn.Module):
         self,
         dim: int,
         *,
-        components: int = 256,
+        components: int = 2048,
         bandwidth: float | Literal["silverman", "perplexity"] = "silverman",
         target_perplexity: float = 8.0,
     ) -> None:
@@ -92,6 +93,15 @@ class NextStateMarginal(nn.Module):
         self.log_weight[:num_filled] = -math.log(num_filled)
         self._fit_bandwidth(num_filled)
 
+    @torch.no_grad()
+    def replace(
+        self, loc: Float[Tensor, "batch dim"], log_var: Float[Tensor, "batch dim"]
+    ) -> None:
+        """Let predicted next states take the place of all components, and fit `h`."""
+        self._num_seen = 0
+        self.log_weight.fill_(-math.inf)
+        self.refresh(loc, log_var)
+
     @property
     def is_empty(self) -> bool:
         """Whether no state has been observed yet."""
@@ -122,7 +132,7 @@ class NextStateMarginal(nn.Module):
         """How many components a component resembles, itself included: `exp` of mean entropy."""
         return self._perplexity(self.component_log_var)
 
-    def information(self, noise: Float[Tensor, "samples components dim"]) -> Information:
+    def information(self, noise: Float[Tensor, "samples number dim"]) -> Information:
         r"""Information about the next state in where one is and what one does there, in nats.
 
         Every component `f_j` is the prediction of a state-action pair, and `x` is sampled from it:
@@ -138,7 +148,8 @@ class NextStateMarginal(nn.Module):
         whose bonus is computed is no component itself, so there the question does not arise.
 
         Args:
-            noise: Standard normal numbers for every component.
+            noise: Standard normal numbers for each of the first components, over which the mean
+                is taken; the mixture is that of all.
 
         Returns:
             Both estimates; the upper one is infinite while there are not two components.
@@ -146,31 +157,36 @@ class NextStateMarginal(nn.Module):
         Reference: Poole et al., "On Variational Bounds of Mutual Information" (2019),
         https://arxiv.org/abs/1905.06922; equations (12) and (13).
         """
-        log_std = 0.5 * self.log_var
-        value = self.loc + log_std.exp() * noise  # samples components dim
-        own = gaussian_log_prob(value, self.loc, log_std)
+        number = noise.shape[1]
+        loc, log_std = self.loc[:number], 0.5 * self.log_var[:number]
+        value = loc + log_std.exp() * noise  # samples number dim
+        own = gaussian_log_prob(value, loc, log_std)
         everyone = mixture_log_density(value, self.loc, self.log_var, self.log_weight)
         point = torch.full_like(value, -math.inf)
         others = expected_log_density(
             value, point, self.loc, self.component_log_var, self.log_weight
-        )  # samples components components
-        itself = torch.eye(len(self.loc), dtype=torch.bool, device=self.loc.device)
-        weight = self.log_weight.exp()
+        )  # samples number components
+        itself = torch.eye(number, len(self.loc), dtype=torch.bool, device=self.loc.device)
+        weight = self.log_weight[:number].exp()
         without = torch.logsumexp(others.masked_fill(itself, -math.inf), dim=-1)
         without = without - torch.log1p(-weight)
-        upper = ((own - without).mean(0) * weight).sum()
+        share = weight / weight.sum()
+        upper = ((own - without).mean(0) * share).sum()
         return Information(
-            lower=((own - everyone).mean(0) * weight).sum(),
+            lower=((own - everyone).mean(0) * share).sum(),
             upper=torch.where(self.num_seen < 2, math.inf, upper),
         )
 
     def _perplexity(self, component_log_var: Tensor) -> Tensor:
+        """That of the first components, which are many enough for a mean, among all."""
+        first = slice(NUM_MEASURED)
         log_density = expected_log_density(
-            self.loc, self.log_var, self.loc, component_log_var, self.log_weight
+            self.loc[first], self.log_var[first], self.loc, component_log_var, self.log_weight
         )
         log_share = torch.log_softmax(log_density, dim=-1)
         entropy = torch.special.entr(log_share.exp()).sum(-1)
-        return (self.log_weight.exp() * entropy).sum().exp()
+        weight = self.log_weight[first].exp()
+        return ((weight * entropy).sum() / weight.sum()).exp()
 
     def _fit_bandwidth(self, num_filled: int) -> None:
         """Set the variance that widens every component, `h^2` times the variance of the means."""

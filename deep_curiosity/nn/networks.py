@@ -9,6 +9,7 @@ from typing import Any
 import torch
 from jaxtyping import Bool, Float, Int, Shaped
 from torch import Tensor, nn
+from torch.nn.functional import layer_norm as normalize_layer
 from torch.nn.functional import pad
 from torch.optim.adam import adam
 
@@ -50,14 +51,22 @@ class StackedMLP(nn.Module):
         in_features: Size of each input.
         hidden_dims: Width of every hidden layer.
         out_features: Size of each output.
+        layer_norm: Bring every hidden layer to mean 0 and standard deviation 1 before it is cut.
     """
 
     layers: Sequence[StackedLinear]
 
     def __init__(
-        self, members: int, in_features: int, hidden_dims: Sequence[int], out_features: int
+        self,
+        members: int,
+        in_features: int,
+        hidden_dims: Sequence[int],
+        out_features: int,
+        *,
+        layer_norm: bool = False,
     ) -> None:
         super().__init__()
+        self.layer_norm = layer_norm
         widths = [in_features, *hidden_dims, out_features]
         self.members = members
         self.layers = nn.ModuleList(  # type: ignore[assignment]  # of linear layers
@@ -72,7 +81,10 @@ class StackedMLP(nn.Module):
         if value.ndim == 2:
             value = value.repeat(self.members, 1, 1)  # a product would copy what is expanded
         for layer in self.layers[:-1]:  # written out, as it is done most often of all
-            value = torch.relu(torch.bmm(value, layer.weight) + layer.bias)
+            value = torch.bmm(value, layer.weight) + layer.bias
+            if self.layer_norm:
+                value = normalize_layer(value, value.shape[-1:])
+            value = torch.relu(value)
         output: Tensor = self.layers[-1](value)
         return output
 
@@ -84,7 +96,10 @@ class StackedMLP(nn.Module):
         if value.ndim == 2:
             value = value.repeat(self.members, 1, 1)
         for layer in self.layers[:-1]:
-            value = torch.relu(layer(value))
+            value = layer(value)
+            if self.layer_norm:
+                value = normalize_layer(value, value.shape[-1:])
+            value = torch.relu(value)
         return value
 
 

@@ -10,8 +10,12 @@ VARIANCE_FLOOR = 1e-8  # a feature that never moves is whitened by 1e-4 of its u
 NUM_DRAWN = 2_048  # rows: an interquartile range of so many is right to 3 %
 QUARTILES = torch.tensor([0.25, 0.5, 0.75])
 NORMAL_RANGE = 1.349  # interquartile range of a standard Gaussian
+FAR = 3.0  # scales beyond which a value is as good as at this distance, to a saturating scale
+NORMAL_SHARE = 0.99501  # mean of min(z^2, FAR^2) of a standard Gaussian
+SCALE_STEPS = 12  # of the fixed-point iteration for that scale, from above
 WHITENED_BOUND = 10.0  # a feature that starts to move late would drown all others
-STATISTICS_MEMORY = 50_000.0  # rows; a bonus drifts as its model learns, so old ones fade
+STATISTICS_MEMORY = 1_280.0  # rows; a bonus drifts as its model learns, so old ones fade
+BONUS_BOUND = 5.0  # standard deviations at which a bonus is cut, so that no tail rules
 HASH_OFFSET = 0x9E3779B9  # so that zeros count; the golden ratio's digits
 HASH_FACTOR = 0x5851F42D4C957F2D  # odd, of Knuth's generator MMIX
 
@@ -82,6 +86,10 @@ class RunningMoments(nn.Module):
         """Centre, scale, and cut at 10 of its scales."""
         return ((value - self.center) / self.scale).clamp(-WHITENED_BOUND, WHITENED_BOUND)
 
+    def log_slope(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch dim"]:
+        """Log of the slope of `normalize` there, in units of `1 / scale`; the cut is left out."""
+        return torch.zeros_like(value)
+
     def _merge(self, value: Tensor) -> None:
         batch_mean = value.mean(0)
         batch_var = value.var(0, correction=0)
@@ -147,15 +155,52 @@ class RobustMoments(RunningMoments):
         self.scale.copy_(torch.where(self.count < 2, 1.0, (var + VARIANCE_FLOOR).sqrt()))
 
 
+class SaturatingMoments(RobustMoments):
+    r"""Units in which what is far from the usual counts by its logarithm.
+
+    .. math:: y = asinh((x - median) / scale)
+
+    Near the median it is the value in units of its scale; a speed ten times as large is two units
+    further, whatever it was. The scale solves `mean(min((x - median)^2, 9 scale^2)) = scale^2`, up
+    to a factor that makes it the standard deviation of a Gaussian: no row counts for more than
+    three scales, so a thousandth of all rows cannot coarsen the sight of the others, while a tenth
+    of them widens it.
+
+    Args:
+        dim: Number of features.
+
+    Reference: the scale is Huber's proposal 2, "Robust Estimation of a Location Parameter" (1964).
+    """
+
+    def normalize(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch dim"]:
+        """Centre, scale, and saturate."""
+        return torch.asinh((value - self.center) / self.scale)
+
+    def log_slope(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch dim"]:
+        """Log of the slope of `normalize` there, in units of `1 / scale`: at most 0."""
+        return -0.5 * torch.log1p(((value - self.center) / self.scale).square())
+
+    def _merge(self, value: Tensor) -> None:
+        super()._merge(value)
+        square = (self.rows[: int(self.num_seen)] - self.median).square()
+        var = square.mean(0)
+        for _ in range(SCALE_STEPS):
+            var = torch.minimum(square, FAR**2 * var).mean(0) / NORMAL_SHARE
+        self.robust_std.copy_(var.sqrt())
+
+
 WHITENINGS: dict[str, type[RunningMoments]] = {
     "moments": RunningMoments,
     "robust": RobustMoments,
+    "saturating": SaturatingMoments,
 }
 """What a vector can be whitened by, by name."""
 
 
 class Standardization(nn.Module):
-    """Brings a bonus to a scale of its own: `weight * (value - mean) / std`.
+    """Brings a bonus to a scale of its own: `weight * (value - mean) / std`, cut at 5 `std`.
+
+    Until there are statistics the bonus is zero, unless it is neither centred nor scaled.
 
     Args:
         weight: Factor of the result.
@@ -178,11 +223,14 @@ class Standardization(nn.Module):
 
     def forward(self, value: Float[Tensor, " batch"]) -> Float[Tensor, " batch"]:
         """Standardised value; changes no statistics."""
-        if self.center:
-            value = value - self.moments.mean
+        if not (self.center or self.scale):
+            return self.weight * value
+        centered = value - self.moments.mean
+        bound = BONUS_BOUND * self.moments.scale
+        value = centered.clamp(-bound, bound) + (0.0 if self.center else self.moments.mean)
         if self.scale:
             value = value / self.moments.scale
-        return self.weight * value
+        return torch.where(self.moments.count > 0, self.weight * value, 0.0)
 
     def update(self, value: Float[Tensor, " batch"]) -> None:
         """Update the statistics from a batch."""

@@ -142,7 +142,7 @@ class Learner:
     def update(self) -> dict[str, Tensor]:
         """One gradient step on the bonus's models and on every part of the agent."""
         rows, alive = self.replay.sample_rows(
-            self.config.run.batch_size, max(self.agent.num_steps)
+            self.config.run.batch_size, self.agent.sequence_length
         )
         if self.bonus is not None:
             if self.bonus.should_skip:
@@ -182,7 +182,23 @@ class Learner:
         metrics = {f"agent/{key}": value for key, value in self.agent.metrics(observation).items()}
         if self.bonus is not None:
             metrics |= {f"curiosity/{key}": value for key, value in self.bonus.metrics().items()}
+            metrics |= self._bonus_over_replay(self.bonus)
         return metrics
+
+    @torch.no_grad()
+    def _bonus_over_replay(self, bonus: Bonus) -> dict[str, Tensor]:
+        """Mean and standard deviation of the bonus over replay, in units of its weight."""
+        weight = getattr(self.config.bonus, "weight", 0.0)
+        if not (weight and bonus.ready):
+            return {}
+        observation, action, _, next_observation, *_ = self.replay.evenly_spaced(
+            NUM_DIAGNOSED_STATES
+        )
+        value = bonus(observation, action, next_observation) / weight
+        return {
+            "curiosity/bonus_mean": value.mean(),
+            "curiosity/bonus_std": value.std(correction=0),
+        }
 
     def state_dict(self) -> dict[str, Any]:
         """Weights, optimisers, statistics, replay and the state of the random generators."""

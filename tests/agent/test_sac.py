@@ -285,6 +285,16 @@ def test_value_is_purely_about_reward_by_default_where_the_prior_is_learned(prio
     assert (losses[0] != losses[1]) == soft
 
 
+@pytest.mark.parametrize("prior", ["uniform", "learned"])
+def test_the_value_of_a_curious_agent_is_purely_about_reward_by_default(prior):
+    losses = []
+    for temperature in (0.1, 10.0):
+        torch.manual_seed(0)
+        agent = small_agent(prior=prior, temperature=temperature)
+        losses.append(agent.update(random_transition(), ConstantBonus(0.0))["critic_loss"].item())
+    assert losses[0] == losses[1]
+
+
 def updated(agent, batch, bonus=None):
     """A copy of the agent after one update with the same random numbers."""
     agent = deepcopy(agent)
@@ -387,6 +397,42 @@ def test_the_adaptive_coefficient_is_the_ratio_of_standard_deviations_at_most_on
     agent.value_stds.copy_(torch.tensor(stds))
     assert agent.curiosity_coefficient == coefficient
     assert agent.metrics()["curiosity_coefficient"] == coefficient
+
+
+@pytest.mark.parametrize(
+    ("hunger", "coefficient"), [(0.0, 1.0), (0.25, 1.0), (1.0, 0.5), (2.0, 0.25), (10.0, 0.05)]
+)
+def test_the_hungrier_the_agent_the_sooner_curiosity_yields(hunger, coefficient):
+    agent = small_agent(curiosity_coefficient="adaptive", hunger=hunger)
+    agent.value_stds.copy_(torch.tensor([2.0, 1.0]))
+    assert agent.curiosity_coefficient == pytest.approx(coefficient)
+
+
+def test_without_a_discount_the_bonus_itself_yields():
+    agent = small_agent(curiosity_coefficient="adaptive", curiosity_discount=0.0)
+    batch = random_transition()._replace(reward=100 * torch.randn(32))
+    for _ in range(3):
+        agent.update(batch, PushingBonus(0.1))
+    assert agent.value_stds.shape == (2,) and 0 < agent.value_stds[1] < 0.1
+    agent.value_stds[0] = 4 * agent.value_stds[1]
+    assert agent.curiosity_coefficient == pytest.approx(0.25)
+
+
+def test_the_mean_of_both_estimates_is_that_of_curiosity_alone():
+    agent, observation = small_agent(), torch.randn(5, 3)
+    action = torch.rand(5, 2)
+    value = agent.critics(observation, action)
+    mixed = agent.critics.pessimistic(observation, action)
+    torch.testing.assert_close(mixed, torch.stack([value[0].amin(0), value[1].mean(0)]))
+
+
+def test_normalised_layers_bound_what_critics_extrapolate():
+    agent = small_agent(critic_layer_norm=True)
+    near, far = (scale * torch.ones(1, 3) for scale in (1e3, 1e6))
+    action = torch.zeros(1, 2)
+    torch.testing.assert_close(
+        agent.critics(near, action), agent.critics(far, action), rtol=1e-2, atol=1e-2
+    )
 
 
 def test_the_coefficient_weighs_the_curiosity_value_in_the_actor():
@@ -901,6 +947,27 @@ def test_sequences_of_one_step_teach_what_transitions_teach():
         each.update(batch, PushingBonus(1.0))
     for one, same in zip(agent.parameters(), other.parameters(), strict=True):
         torch.testing.assert_close(one, same)
+
+
+def test_past_the_end_the_curiosity_value_goes_on_where_the_next_episode_begins():
+    """Not from a terminal observation, which no regression ever fits."""
+    agent = small_agent(curiosity_episodic=False, prior="learned")
+    assert agent.sequence_length == 2
+    first, second = random_transition(4), random_transition(4)
+    ends = torch.tensor([True, False, True, False])
+    steps = Transition(*(torch.cat(pair) for pair in zip(first, second, strict=True)))
+    steps = steps._replace(terminated=torch.cat([ends, ends]))
+    sequences = Sequences(steps, torch.stack([torch.ones(4).bool(), ~ends]))
+    asked = []
+    agent._next_values = lambda observation, hunger: (
+        asked.append(observation) or torch.ones(2, len(observation))
+    )
+    reward, curiosity = agent._targets(sequences, torch.zeros(8), agent._hunger)
+    expected = torch.where(ends.unsqueeze(-1), second.observation, first.next_observation)
+    assert asked[0].equal(expected)
+    discount = agent.discounts[1]
+    torch.testing.assert_close(curiosity, discount.expand(4))
+    torch.testing.assert_close(reward[ends], first.reward[ends])
 
 
 @pytest.mark.parametrize("episodic", [True, False])

@@ -6,7 +6,12 @@ import pytest
 import torch
 
 from deep_curiosity.bonuses.base import Bonus
-from deep_curiosity.bonuses.baselines import ConstantBonus, ICMBonus
+from deep_curiosity.bonuses.baselines import (
+    ConstantBonus,
+    HashCountBonus,
+    ICMBonus,
+    NearestNeighboursBonus,
+)
 from deep_curiosity.bonuses.curiosity import CuriosityBonus
 from deep_curiosity.bonuses.dynamics import DynamicsEnsemble
 from deep_curiosity.bonuses.marginal import NextStateMarginal
@@ -258,9 +263,10 @@ def test_to_ask_whether_to_skip_changes_nothing(make, num_observed):
     torch.testing.assert_close(state_of(bonus), before, rtol=0, atol=0, equal_nan=True)
 
 
-def test_only_curiosity_must_observe_before_it_is_ready(make):
+def test_what_remembers_states_must_observe_before_it_is_ready(make):
     bonus, copy = make(), make()
-    assert bonus.ready is not isinstance(bonus, CuriosityBonus)
+    remembers = CuriosityBonus, NearestNeighboursBonus, HashCountBonus
+    assert bonus.ready is not isinstance(bonus, remembers)
     bonus.observe(random_transition())
     assert bonus.ready
     copy.load_state_dict(bonus.state_dict())
@@ -275,7 +281,7 @@ def test_it_can_be_observed_with_where_the_agent_has_been_of_late(make):
     assert compute(bonus, batch).isfinite().all()
 
 
-def test_where_the_agent_has_been_of_late_matters_to_curiosity_alone(make):
+def test_where_the_agent_has_been_of_late_matters_to_curiosity_and_counts_alone(make):
     bonus = make()
     other = deepcopy(bonus)
     batch, visited = random_transition(), random_transition()
@@ -286,4 +292,4 @@ def test_where_the_agent_has_been_of_late_matters_to_curiosity_alone(make):
         value.nan_to_num().equal(other.state_dict()[name].nan_to_num())
         for name, value in bonus.state_dict().items()
     ]
-    assert all(same) is not isinstance(bonus, CuriosityBonus)
+    assert all(same) is not isinstance(bonus, CuriosityBonus | HashCountBonus)

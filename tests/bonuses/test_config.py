@@ -17,6 +17,8 @@ from deep_curiosity.bonuses.config import (
 from deep_curiosity.bonuses.curiosity import CuriosityBonus
 from deep_curiosity.bonuses.dynamics import DynamicsEnsemble
 from deep_curiosity.bonuses.marginal import NextStateMarginal
+from deep_curiosity.configuration import override
+from deep_curiosity.replay import ReplayBuffer
 
 BASELINES = [kind for kind in BONUS_CONFIGS.values() if issubclass(kind, BaselineConfig)]
 OF_THE_LEARNER = {"model_learning_rate"}  # no argument of a bonus, which has no optimiser
@@ -78,9 +80,28 @@ def test_curiosity_is_about_given_entries_unless_others_were_chosen():
     assert bonus_config("rnd").about((0, 1)) == bonus_config("rnd")
 
 
-def test_a_way_of_forgetting_where_nothing_is_forgotten_is_rejected():
-    with pytest.raises(ValueError, match="`marginal_forgetting` must be 'window' where no"):
-        MarginalConfig(forgetting="exponential")
+@pytest.mark.parametrize("value", [0.0, -1.0])
+def test_a_half_life_that_is_not_positive_is_rejected(value):
+    with pytest.raises(ValueError, match="`marginal_half_life` must be positive"):
+        MarginalConfig(half_life=value)
+
+
+def test_visited_states_fade_by_half_with_so_many_episodes():
+    replay = ReplayBuffer(1_000, 1, 1)
+    for number in range(1_000):  # episodes of 10
+        replay.add(float(number), 0.0, 0.0, float(number), False, number % 10 == 9)
+    config = override(CuriosityConfig(), marginal_half_life=5.0)
+    age = 999 - config.sample_visited(replay, 20_000).observation
+    assert (age < 50).float().mean().item() == pytest.approx(0.5, abs=0.02)
+    assert override(config, marginal_half_life=None).sample_visited(replay, 9) is None
+
+
+def test_visits_are_counted_and_not_draws_from_replay():
+    replay = ReplayBuffer(30, 1, 1)
+    for number in range(50):
+        replay.add(float(number), 0.0, 0.0, float(number), False, False)
+    newest = bonus_config("hash-count").sample_visited(replay, 256).observation
+    assert newest.flatten().tolist() == [*range(30, 50)]
 
 
 def test_an_unknown_kind_is_rejected():

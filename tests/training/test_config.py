@@ -37,7 +37,7 @@ VALUES = [
     {"temperature": "plateaus:1:0.1"},
     {"features": (0, -1), "bonus_parts": {"information_gain": 1.0}, "bandwidth": 0.3},
     {"bandwidth": "perplexity", "tune_bonus_weight": "past", "curiosity_coefficient": 0.5},
-    {"tune_bonus_weight": 50.0, "marginal_horizon": 9, "marginal_forgetting": "exponential"},
+    {"tune_bonus_weight": 50.0, "marginal_half_life": None},
     {"curiosity_ends": 700, "curiosity_steps": 3, "curiosity_episodic": False},
     {"num_envs": 4, "vectorization": "sync", "soft_backup": False, "target_information_rate": 2.0},
 ]
@@ -173,7 +173,7 @@ def test_hunger_and_temperature_are_read_from_their_text():
         ({"update_to_data": float("nan")}, "`update_to_data` must be finite, got nan"),
         ({"discount": 1.0}, "`discount` must be below 1, got 1.0"),
         ({"polyak": 1.5}, "`polyak` must be at most 1, got 1.5"),
-        ({"marginal_forgetting": "exponential"}, "`marginal_forgetting` must be 'window' where"),
+        ({"marginal_half_life": 0.0}, "`marginal_half_life` must be positive, got 0.0"),
         ({"hunger": "conditioned:2"}, r"`hunger` must lie in \[0, 1\] where conditioned, got 2.0"),
         ({"hunger": "greed"}, "`hunger` must be a number, a schedule .* got 'greed'"),
         ({"hunger": "linear:1:0"}, "`last` must be finite and positive, got 0.0"),

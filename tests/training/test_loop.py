@@ -11,7 +11,7 @@ import pytest
 import torch
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from deep_curiosity.training import Config, continue_run, loop, train
+from deep_curiosity.training import continue_run, loop, train
 from deep_curiosity.training.checkpoint import NEWEST, load_checkpoint
 from deep_curiosity.training.collector import Collector
 from deep_curiosity.training.learner import Learner
@@ -330,8 +330,10 @@ def unchanged(tiny_config, tmp_path_factory):
         {"bandwidth": "perplexity"},
         {"bandwidth": 0.3},
         {"whitening": "robust"},
-        {"marginal_horizon": 5},
-        {"marginal_horizon": 5, "marginal_forgetting": "exponential"},
+        {"marginal_half_life": 0.5},
+        {"marginal_half_life": None},
+        {"critic_layer_norm": True},
+        {"curiosity_estimate": "min"},
         {"features": (0, -1)},
         {"bonus_parts": {"predictive_power": 1.0}},
         {"bonus_parts": {"information_gain": 1.0}},
@@ -365,7 +367,7 @@ def unchanged(tiny_config, tmp_path_factory):
         {"actor_q": "min"},
         {"members": "all"},
         {"model_mixture_components": 2},
-        {"soft_backup": False},
+        {"soft_backup": True},
         {"curiosity_coefficient": 0.1},
     ],
     ids=str,
@@ -395,17 +397,6 @@ def test_a_setting_that_changes_the_shape_of_the_policy_is_learned_with(
     assert (learned != initial).any(-1).all()  # from every entry of what the policy is given
 
 
-def test_ways_of_forgetting_are_not_the_same(tiny, tmp_path):
-    window = tiny.override(marginal_horizon=5)
-    train(window, show_progress=False)
-    fading = window.override(marginal_forgetting="exponential", out=tmp_path / "fading")
-    train(fading, show_progress=False)
-    assert (
-        rows(window.run.out)[-1]["agent/policy_loss"]
-        != rows(fading.run.out)[-1]["agent/policy_loss"]
-    )
-
-
 def test_a_curiosity_of_fixed_coefficient_learns_otherwise(tiny, tmp_path):
     faint = tiny.override(bonus_weight=1e-3)
     train(faint, show_progress=False)
@@ -416,11 +407,6 @@ def test_a_curiosity_of_fixed_coefficient_learns_otherwise(tiny, tmp_path):
         rows(tiny.run.out)[-1]["agent/policy_loss"]
         != rows(tmp_path / "changed")[-1]["agent/policy_loss"]
     )
-
-
-def test_forgetting_without_a_horizon_is_rejected():
-    with pytest.raises(ValueError, match="`marginal_forgetting` must be 'window' where no"):
-        Config.of(marginal_forgetting="exponential")
 
 
 @pytest.mark.parametrize(
@@ -440,7 +426,7 @@ def test_forgetting_without_a_horizon_is_rejected():
         ({"hunger": float("nan")}, "`hunger` must be finite, got nan"),
         ({"num_members": 1}, "`num_members` must be at least 2"),
         ({"noise_floor": 0.0}, "`noise_floor` must be positive"),
-        ({"marginal_horizon": 0}, "`marginal_horizon` must be at least 1, got 0"),
+        ({"marginal_half_life": -1.0}, "`marginal_half_life` must be positive, got -1.0"),
         ({"features": (0, 9)}, r"`features` must name different entries of 3, got \[0, 9\]"),
         ({"bonus_parts": {"novelty": 1.0}}, "`parts` must be named .*got 'novelty'"),
         ({"temperature": -1.0}, "`temperature` must be positive, got -1.0"),

@@ -1,6 +1,7 @@
 """What all baselines share: checks at the door, whitened observations, a standardised bonus."""
 
 from abc import abstractmethod
+from typing import ClassVar
 
 import torch
 from jaxtyping import Float
@@ -8,7 +9,23 @@ from torch import Tensor
 
 from deep_curiosity.bonuses.base import Bonus, Policy
 from deep_curiosity.nn.statistics import Every, RunningMoments, Standardization
-from deep_curiosity.transitions import Transition, check_batch, check_counts, check_transition
+from deep_curiosity.transitions import (
+    Transition,
+    check_batch,
+    check_counts,
+    check_transition,
+    every_second,
+)
+
+SCORE_FLOOR = 1e-6  # of squared errors in whitened units, below which they are all alike
+
+
+def log_of_score(value: Float[Tensor, " batch"]) -> Float[Tensor, " batch"]:
+    """Log of a squared error or a variance, whose few largest values would drown all others.
+
+    Half the variance of a disagreement lies in a hundredth of its rows, and more of an error's.
+    """
+    return torch.log(value + SCORE_FLOOR)
 
 
 class BaselineBonus(Bonus):
@@ -25,6 +42,9 @@ class BaselineBonus(Bonus):
     Raises:
         ValueError: If a size or the weight is out of range.
     """
+
+    follows_visits: ClassVar[bool] = False
+    """Whether `update_statistics` is given what was visited of late instead of the batch."""
 
     def __init__(
         self,
@@ -99,10 +119,18 @@ class BaselineBonus(Bonus):
             return
         self._check(transition)
         self.observation_moments.update(transition.observation)
-        self.update_statistics(transition, policy)
-        observation, action, _, next_observation, *_ = transition
-        self.standardization.update(self.score(observation, action, next_observation))
-        self.every.count()
+        scored, late = transition, transition
+        if visited is not None and self.follows_visits:
+            late = visited
+        self._check(late)
+        if not self.ready:  # half of the first batch is remembered, the other half is scored
+            self.update_statistics(every_second(late, 0), policy)
+            scored, late = every_second(transition, 1), every_second(late, 1)
+        if len(scored.action):  # none of a first batch of one: the next is then due at once
+            self.every.count()
+            observation, action, _, next_observation, *_ = scored
+            self.standardization.update(self.score(observation, action, next_observation))
+            self.update_statistics(late, policy)  # only now: what is scored is not remembered yet
 
     @property
     def should_skip(self) -> bool:
@@ -132,7 +160,7 @@ class BaselineBonus(Bonus):
         return transition.reward.new_zeros((), requires_grad=True)
 
     def update_statistics(self, transition: Transition, policy: Policy | None) -> None:
-        """Whatever else is kept of a batch; nothing by default."""
+        """Whatever else is kept of a batch, or of what was visited of late; nothing by default."""
 
     def pair_features(self, observation: Tensor, action: Tensor) -> Tensor:
         """Whitened observation and action, as networks of pairs take them."""

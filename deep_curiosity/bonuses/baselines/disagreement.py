@@ -2,11 +2,12 @@
 
 from collections.abc import Sequence
 
+import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
 from deep_curiosity.bonuses.base import Policy
-from deep_curiosity.bonuses.baselines.base import BaselineBonus
+from deep_curiosity.bonuses.baselines.base import BaselineBonus, log_of_score
 from deep_curiosity.nn.networks import StackedMLP, frozen
 from deep_curiosity.nn.statistics import RunningMoments
 from deep_curiosity.transitions import Transition
@@ -48,15 +49,22 @@ class PointEnsemble(nn.Module):
         features: Float[Tensor, "batch in_features"],
         outcome: Float[Tensor, "batch out_features"],
     ) -> Float[Tensor, ""]:
-        """Squared error of whitened outcomes, averaged over the batch, summed over members."""
+        """Squared error of whitened outcomes, averaged over the batch, summed over members.
+
+        Every member weighs the batch by its own bootstrap (Poisson counts).
+        """
         error = self.network(features) - self.outcome_moments.normalize(outcome)
-        return error.square().mean((1, 2)).sum()
+        weight = torch.poisson(torch.ones_like(error[..., 0]))
+        return (weight * error.square().mean(-1)).mean(1).sum()
 
 
 class DisagreementBonus(BaselineBonus):
     r"""Variance of an ensemble's predictions of the next state.
 
-    .. math:: \frac{1}{d} \sum_i Var_e[\hat x'_{e,i}(x, a)]
+    .. math:: \log \frac{1}{d} \sum_i Var_e[\hat x'_{e,i}(x, a)]
+
+    The log is ours, so that a few pairs do not drown all others, and so are the changes of state
+    in place of features of images; each member learns from a bootstrap of every batch.
 
     Args:
         observation_dim: Length of an observation.
@@ -69,8 +77,7 @@ class DisagreementBonus(BaselineBonus):
         hidden_dims: Width of every hidden layer.
 
     Reference: Pathak et al., "Self-Supervised Exploration via Disagreement" (2019),
-    https://arxiv.org/abs/1906.04161; equation (1). Changes of state take the place of its image
-    features.
+    https://arxiv.org/abs/1906.04161; equation (1).
     """
 
     def __init__(
@@ -103,8 +110,9 @@ class DisagreementBonus(BaselineBonus):
     def score(
         self, observation: Tensor, action: Tensor, next_observation: Tensor | None
     ) -> Tensor:
-        """Mean variance of the predictions, in whitened units squared."""
-        return self.ensemble.variance(self.pair_features(observation, action)).mean(-1)
+        """Log of the mean variance of the predictions, in whitened units squared."""
+        features = self.pair_features(observation, action)
+        return log_of_score(self.ensemble.variance(features).mean(-1))
 
     def network_loss(self, transition: Transition) -> Tensor:
         """Squared error of the predictions."""

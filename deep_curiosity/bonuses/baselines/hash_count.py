@@ -20,7 +20,8 @@ class HashCountBonus(BaselineBonus):
     batch, for ever: a state must keep its code. `g` also appends a one: the paper's hyperplanes
     all pass through the origin, which gives all states on a ray from there one code. Counts lie in
     several tables, of which the least is believed. What is counted are the rows shown to
-    `observe`; of batches from replay, one state is counted as often as it is sampled.
+    `observe` as visited, or else the batch: of batches from replay, one state is counted as often
+    as it is sampled.
 
     Args:
         observation_dim: Length of an observation.
@@ -39,6 +40,7 @@ class HashCountBonus(BaselineBonus):
     """
 
     scores_outcomes = True
+    follows_visits = True
     projection: Tensor
     powers: Tensor
     code_loc: Tensor
@@ -74,6 +76,11 @@ class HashCountBonus(BaselineBonus):
         self.register_buffer("code_scale", torch.ones(observation_dim))
         self.register_buffer("counts", torch.zeros(len(TABLE_SIZES), max(TABLE_SIZES)))
         self.register_buffer("is_fixed", torch.zeros((), dtype=torch.bool))
+
+    @property
+    def ready(self) -> bool:
+        """Whether the code is fixed yet."""
+        return bool(self.is_fixed)
 
     def score(
         self, observation: Tensor, action: Tensor, next_observation: Tensor | None

@@ -6,7 +6,7 @@ from typing import ClassVar, Literal, get_args
 import torch
 from torch import Tensor, nn
 
-from deep_curiosity.bonuses.baselines.base import BaselineBonus
+from deep_curiosity.bonuses.baselines.base import BaselineBonus, log_of_score
 from deep_curiosity.nn.networks import StackedMLP, frozen
 from deep_curiosity.transitions import Transition, check_counts
 
@@ -79,10 +79,11 @@ class ICMBonus(BaselineBonus):
     def score(
         self, observation: Tensor, action: Tensor, next_observation: Tensor | None
     ) -> Tensor:
-        """Half the squared error of the forward model, summed over features."""
+        """Log of half the squared error of the forward model, summed over features."""
         assert next_observation is not None
         with frozen(self):
-            return self._error(self._encode(observation), action, self._encode(next_observation))
+            before, after = self._encode(observation), self._encode(next_observation)
+            return log_of_score(self._error(before, action, after))
 
     def network_loss(self, transition: Transition) -> Tensor:
         """Loss of forward and inverse model; the forward model does not shape its own target."""

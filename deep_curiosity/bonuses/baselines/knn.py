@@ -68,15 +68,29 @@ class NearestNeighboursBonus(BaselineBonus):
         self.register_buffer("states", torch.zeros(memory, observation_dim))
         self.register_buffer("num_seen", torch.zeros((), dtype=torch.long))
 
+    @property
+    def ready(self) -> bool:
+        """Whether a state is remembered yet."""
+        return bool(self.num_seen > 0)
+
     def score(
         self, observation: Tensor, action: Tensor, next_observation: Tensor | None
     ) -> Tensor:
-        """Log of one more than the mean distance, in whitened units; 0 while all is new."""
+        """Log of one more than the mean distance, in whitened units; 0 while all is new.
+
+        A state that is itself remembered is no neighbour of its own.
+        """
         assert next_observation is not None
         scale = self.observation_moments.scale
         filled = torch.arange(len(self.states), device=scale.device) < self.num_seen
-        distance = torch.cdist(next_observation / scale, self.states / scale)
-        nearest = distance.masked_fill(~filled, torch.inf).topk(self.neighbours, largest=False)
+        # without products of matrices, which would round away that a state is itself remembered
+        distance = torch.cdist(
+            next_observation / scale,
+            self.states / scale,
+            compute_mode="donot_use_mm_for_euclid_dist",
+        )
+        is_other = filled & (distance > 0)
+        nearest = distance.masked_fill(~is_other, torch.inf).topk(self.neighbours, largest=False)
         known = nearest.values.isfinite()
         total = nearest.values.masked_fill(~known, 0.0).sum(-1)
         return torch.log1p(total / known.sum(-1).clamp(min=1))

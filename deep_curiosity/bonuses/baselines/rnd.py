@@ -5,7 +5,7 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from deep_curiosity.bonuses.baselines.base import BaselineBonus
+from deep_curiosity.bonuses.baselines.base import BaselineBonus, log_of_score
 from deep_curiosity.nn.networks import StackedMLP, frozen
 from deep_curiosity.transitions import Transition, check_counts
 
@@ -15,7 +15,9 @@ OBSERVATION_BOUND = 5.0  # standard deviations at which the paper cuts observati
 class RNDBonus(BaselineBonus):
     r"""Error of a network that learns a random one, at the next state.
 
-    .. math:: \frac{1}{k} \| \hat f(x') - f(x') \|^2
+    .. math:: \log \frac{1}{k} \| \hat f(x') - f(x') \|^2
+
+    The log is ours, so that the bonus keeps its scale as the error shrinks by orders of magnitude.
 
     Args:
         observation_dim: Length of an observation.
@@ -67,10 +69,10 @@ class RNDBonus(BaselineBonus):
     def score(
         self, observation: Tensor, action: Tensor, next_observation: Tensor | None
     ) -> Tensor:
-        """Mean squared error over features."""
+        """Log of the mean squared error over features."""
         assert next_observation is not None
         with frozen(self.predictor):
-            return self._error(next_observation)
+            return log_of_score(self._error(next_observation))
 
     def network_loss(self, transition: Transition) -> Tensor:
         """The same error, averaged over the batch."""

@@ -24,6 +24,7 @@ from deep_curiosity.integrations.torchrl.arguments import (
     target_entropy,
 )
 from deep_curiosity.integrations.torchrl.tensordicts import TransitionKeys, TransitionReader
+from deep_curiosity.losses import price_shares
 from deep_curiosity.nn.networks import frozen
 
 
@@ -60,8 +61,8 @@ class CuriousActorCriticLoss(SACLoss):
         target_information_rate: Nats per action by which the policy may differ from the prior. By
             default SACLoss's target entropy from the uniform prior, and 1 per action dimension
             from the learned one.
-        soft_backup: Charge the extrinsic value with the information cost of later actions. By
-            default only with the uniform prior.
+        soft_backup: Charge the values with the information cost of later actions. By default only
+            without a bonus and with the uniform prior.
         action_spec: Range of the actions; that of the actor when `None`, or else [-1, 1].
         **options: Keyword arguments of `SACLoss`: `alpha_init`, `fixed_alpha`, `loss_function`,
             `num_qvalue_nets`, `reduction` and others.
@@ -120,7 +121,8 @@ class CuriousActorCriticLoss(SACLoss):
         self.box = box
         self.reader = None if bonus is None else TransitionReader(bonus, self.tensor_keys, box)
         self.curiosity_discount = curiosity_discount
-        self.soft_backup = PRIORS[prior].soft_backup if soft_backup is None else soft_backup
+        by_default = PRIORS[prior].soft_backup and bonus is None
+        self.soft_backup = by_default if soft_backup is None else soft_backup
         self.prior = PRIORS[prior](box.dim) if prior == "learned" else None
         self.register_buffer("hunger", torch.tensor(float(hunger)))
         if self.has_curiosity_critic:
@@ -238,13 +240,19 @@ class CuriousActorCriticLoss(SACLoss):
         sample = self._sample(next_tensordict)
         chosen = next_tensordict.copy().set(self.tensor_keys.action, sample.action)
         value = self._lower_value(chosen, self.target_qvalue_network_params)
+        shares = price_shares(self.hunger, torch.ones_like(self.hunger))
+        if not self.has_curiosity_critic:
+            shares = price_shares(self.hunger, None)
+        price = self._alpha * sample.information_cost
         if self.soft_backup:
-            value = value - self._alpha * sample.information_cost
+            value = value - shares[0] * price
         target = _backed_up(tensordict, value, self.value_estimator)
         if self.reader is None or not self.has_curiosity_critic:
             return target, None
         next_tensordict.set(self.tensor_keys.curiosity, self._bonus(tensordict, self.reader))
         value = self._lower_value(chosen, self.target_curiosity_network_params)
+        if self.soft_backup:
+            value = value - shares[1] * price
         return target, _backed_up(tensordict, value, self._curiosity_estimator)
 
     def _critic_loss(

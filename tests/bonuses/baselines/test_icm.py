@@ -1,3 +1,5 @@
+import math
+
 import pytest
 import torch
 
@@ -12,13 +14,14 @@ def transition(batch=64):
     return Transition(observation, action, flag.float(), observation + shift, flag, flag)
 
 
-def test_in_the_state_it_is_half_the_squared_error_of_the_forward_model():
-    bonus = ICMBonus(3, 2, weight=1.0, features="state", hidden_dims=(8,))
+def test_in_the_state_it_is_the_log_of_half_the_squared_error_of_the_forward_model():
+    raw = {"weight": 1.0, "center": False, "scale": False}
+    bonus = ICMBonus(3, 2, features="state", hidden_dims=(8,), **raw)
     with torch.no_grad():
         bonus.forward_model.layers[-1].weight.zero_()
         bonus.forward_model.layers[-1].bias.zero_()
     state = torch.tensor([[1.0, 2.0, 2.0]])
-    assert bonus(state, torch.zeros(1, 2), state).item() == pytest.approx(4.5)
+    assert bonus(state, torch.zeros(1, 2), state).item() == pytest.approx(math.log(4.5))
 
 
 def test_the_forward_model_does_not_shape_its_own_target():

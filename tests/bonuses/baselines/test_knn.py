@@ -56,6 +56,13 @@ def test_distances_are_in_whitened_units():
     )
 
 
+def test_a_state_that_is_remembered_is_no_neighbour_of_its_own():
+    bonus = small()
+    update_statistics(bonus, torch.tensor([[1e3], [1e3], [1e3 + 1], [1e3 + 3]]))
+    value = compute(bonus, torch.tensor([[1e3]])).item()
+    assert value == pytest.approx(math.log(1 + (1 + 3) / 2))
+
+
 def test_more_neighbours_than_memory_are_rejected():
     with pytest.raises(ValueError, match=r"`neighbours` must be at most `memory` \(4\), got 5"):
         small(neighbours=5)

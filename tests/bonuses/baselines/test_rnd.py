@@ -1,3 +1,5 @@
+import math
+
 import torch
 
 from deep_curiosity.bonuses.baselines import RNDBonus
@@ -10,7 +12,7 @@ def transition(observation):
     return Transition(observation, action, flag.float(), observation, flag, flag)
 
 
-def test_the_bonus_is_the_mean_squared_error_over_features():
+def test_the_bonus_is_the_log_of_the_mean_squared_error_over_features():
     bonus = RNDBonus(
         3, 2, weight=1.0, center=False, scale=False, random_features=4, hidden_dims=(8,)
     )
@@ -19,7 +21,8 @@ def test_the_bonus_is_the_mean_squared_error_over_features():
             network.layers[-1].weight.zero_()
             network.layers[-1].bias.copy_(torch.as_tensor(value))
     state = torch.randn(5, 3)
-    assert bonus(state, torch.zeros(5, 2), state).tolist() == [1.25] * 5
+    value = bonus(state, torch.zeros(5, 2), state)
+    torch.testing.assert_close(value, torch.full((5,), math.log(1.25)))
 
 
 def test_the_random_network_is_never_learned():
