@@ -142,7 +142,9 @@ class RobustMoments(RunningMoments):
         keys, kept = torch.topk(keys, NUM_DRAWN, largest=False, sorted=True)
         self.keys.copy_(keys)
         self.rows.copy_(torch.cat([self.rows, value])[kept])
-        sample = self.rows[: int(self.num_seen)]  # empty places have the largest keys
+        self._measure(self.rows[: int(self.num_seen)])  # empty places have the largest keys
+
+    def _measure(self, sample: Float[Tensor, "rows dim"]) -> None:
         low, median, high = sample.quantile(QUARTILES.to(sample), dim=0)
         self.median.copy_(median)
         self.robust_std.copy_((high - low) / NORMAL_RANGE)
@@ -180,9 +182,9 @@ class SaturatingMoments(RobustMoments):
         """Log of the slope of `normalize` there, in units of `1 / scale`: at most 0."""
         return -0.5 * torch.log1p(((value - self.center) / self.scale).square())
 
-    def _merge(self, value: Tensor) -> None:
-        super()._merge(value)
-        square = (self.rows[: int(self.num_seen)] - self.median).square()
+    def _measure(self, sample: Float[Tensor, "rows dim"]) -> None:
+        self.median.copy_(sample.mT.contiguous().median(-1).values)
+        square = (sample - self.median).square()
         var = square.mean(0)
         for _ in range(SCALE_STEPS):
             var = torch.minimum(square, FAR**2 * var).mean(0) / NORMAL_SHARE

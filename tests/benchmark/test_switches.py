@@ -1,3 +1,5 @@
+import pytest
+
 from deep_curiosity.benchmark.figures import plot_switches
 from deep_curiosity.benchmark.page import switches_section
 from deep_curiosity.benchmark.sections import AGENTS

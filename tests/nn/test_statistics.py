@@ -10,6 +10,7 @@ from deep_curiosity.nn.statistics import (
     Every,
     RobustMoments,
     RunningMoments,
+    SaturatingMoments,
     Standardization,
     scrambled,
 )
@@ -237,3 +238,56 @@ def test_a_standardised_value_is_centred_and_scaled_where_that_is_wanted(center,
 def test_a_weight_that_is_negative_or_not_finite_is_rejected(weight):
     with pytest.raises(ValueError, match="`weight` must be finite and not negative, got"):
         Standardization(weight=weight, center=True, scale=True)
+
+
+def saturating(value):
+    moments = SaturatingMoments(value.shape[1])
+    for batch in value.split(256):
+        moments.update(batch)
+    return moments
+
+
+def test_a_saturating_scale_of_a_gaussian_is_its_standard_deviation():
+    torch.manual_seed(0)
+    moments = saturating(3 + 2 * torch.randn(8_000, 1))
+    assert moments.center.item() == pytest.approx(3, abs=0.15)
+    assert moments.scale.item() == pytest.approx(2, rel=0.05)
+
+
+def test_a_thousandth_of_all_rows_leaves_a_saturating_scale_where_it_is():
+    torch.manual_seed(0)
+    value = torch.randn(8_000, 1)
+    value[::1_000] = 1e6
+    assert saturating(value).scale.item() == pytest.approx(1, rel=0.1)
+
+
+def test_a_tenth_of_all_rows_widens_a_saturating_scale():
+    torch.manual_seed(0)
+    value = 0.01 * torch.randn(8_000, 1)
+    value[::8] = 1.0 + 0.01 * torch.randn(1_000, 1)
+    assert 0.2 < saturating(value).scale.item() < 0.5
+
+
+def test_far_values_count_by_their_logarithm_and_the_map_can_be_inverted():
+    moments = saturating(torch.randn(2_000, 1))
+    value = torch.tensor([[0.01], [1e3], [1e4], [1e5]])
+    unit = moments.normalize(value)
+    assert (unit[2:] - unit[1:3]).flatten().tolist() == pytest.approx([math.log(10)] * 2, rel=1e-3)
+    back = moments.center + moments.scale * torch.sinh(unit)
+    torch.testing.assert_close(back, value, rtol=1e-3, atol=1e-3)
+
+
+def test_the_slope_of_a_saturating_map_is_that_of_its_curve():
+    moments = saturating(torch.randn(2_000, 3))
+    value = torch.tensor([[-4.0, 0.3, 20.0]], requires_grad=True)
+    (slope,) = torch.autograd.grad(moments.normalize(value).sum(), value)
+    expected = moments.log_slope(value).exp() / moments.scale
+    torch.testing.assert_close(slope, expected)
+
+
+def test_a_bonus_is_silent_until_it_has_statistics_and_cut_at_five_deviations():
+    standardization = Standardization(weight=0.5, center=True, scale=True)
+    assert standardization(torch.tensor([7.0])).item() == 0
+    standardization.update(torch.tensor([-1.0, 1.0]))
+    value = standardization(torch.tensor([-100.0, 0.0, 100.0]))
+    assert value.tolist() == pytest.approx([-2.5, 0.0, 2.5])
