@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from deep_curiosity.experiments.fixed_data import run_on_fixed_data
 from deep_curiosity.experiments.runs import measure_area
 from deep_curiosity.experiments.studies.comparisons import MAZE, MOUNTAIN_CAR, PENDULUM, SMALL
 from deep_curiosity.experiments.study import Agents, Study, Task
@@ -42,6 +43,21 @@ AGENTS: Agents = {
     "learned prior": {"prior": "learned"},
 }
 
+FIXED = SMALL.override(total_steps=1_600, evaluation_interval=400, replay_capacity=4_000)
+FIXED_TASKS = [
+    Task(env_id, FIXED.override(env_id=env_id))
+    for env_id in (
+        "PendulumSwingup",
+        "PointMaze",
+        "ReacherSparse",
+        "Hopper-v5",
+        "HalfCheetah-v5",
+        "Walker2d-v5",
+        "Swimmer-v5",
+        "Ant-v5",
+    )
+]
+
 STUDIES = {
     "development": Study(
         TASKS,
@@ -50,5 +66,18 @@ STUDIES = {
         first_seed=100,
         columns=("area", "evaluation_return"),
         measure=measure_area,
-    )
+    ),
+    "standardization": Study(
+        FIXED_TASKS,
+        {
+            "default": {},
+            "nearest-neighbours": {"bonus": "nearest-neighbours"},
+            "rnd": {"bonus": "rnd"},
+            "disagreement": {"bonus": "disagreement"},
+        },
+        seeds=3,
+        first_seed=100,
+        columns=("bonus_mean", "bonus_std"),
+        run=run_on_fixed_data,
+    ),
 }
