@@ -2,13 +2,14 @@
 
 import json
 from copy import deepcopy
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import torch
 from torch import Tensor
 
 from deep_curiosity import __version__
 from deep_curiosity.bonuses.base import Bonus
+from deep_curiosity.bonuses.config import CuriosityConfig
 from deep_curiosity.bonuses.curiosity import CuriosityBonus
 from deep_curiosity.bonuses.learner import BonusLearner
 from deep_curiosity.replay import ReplayBuffer
@@ -72,8 +73,8 @@ def measure_bonus(bonus: Bonus, data: Transition, config: "Config") -> "Row":
     weight = getattr(config.bonus, "weight", 1.0)
     value = bonus(observation, action, next_observation) / weight
     row = {"bonus_mean": value.mean().item(), "bonus_std": value.std().item()}
-    if isinstance(bonus, CuriosityBonus):
-        row["draw_share"] = draw_share(bonus, observation, action)
+    if config.bonus.kind == CuriosityConfig.kind:
+        row["draw_share"] = draw_share(cast(CuriosityBonus, bonus), observation, action)
     return row
 
 
