@@ -4,7 +4,7 @@ import math
 from typing import NamedTuple
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 
@@ -47,24 +47,23 @@ class Sequences(NamedTuple):
         """The last transition of every sequence within so many steps."""
         if num_steps == 1:
             return self.first
-        batch = self.alive.shape[1]
-        number = self.alive[:num_steps].sum(0) - 1
-        rows = number * batch + torch.arange(batch, device=number.device)
+        rows = self._rows(self.alive[:num_steps].sum(0) - 1)
         return Transition(*(field[rows] for field in self.steps))
 
-    def following(self, num_steps: int) -> Float[Tensor, "batch observation_dim"]:
+    def continuation(self, num_steps: int) -> Float[Tensor, "batch observation_dim"]:
         """Where one is after the last transition within so many steps, in another episode or not.
 
         It is the observation of the step behind it, where the sequences hold that; else the last
         transition's own next observation.
         """
-        last = self.last(num_steps).next_observation
         if len(self.alive) == num_steps:
-            return last
+            return self.last(num_steps).next_observation
+        return self.steps.observation[self._rows(self.alive[:num_steps].sum(0))]
+
+    def _rows(self, number: Int[Tensor, " batch"]) -> Int[Tensor, " batch"]:
+        """Where the step of a number, from 0, of every sequence lies."""
         batch = self.alive.shape[1]
-        number = self.alive[:num_steps].sum(0)
-        rows = number * batch + torch.arange(batch, device=number.device)
-        return self.steps.observation[rows]
+        return number * batch + torch.arange(batch, device=number.device)
 
     def check(self, observation_dim: int, action_dim: int, dtype: torch.dtype) -> None:
         """Reject sequences whose steps are no transitions, or do not fit `alive`.

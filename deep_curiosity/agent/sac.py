@@ -364,7 +364,7 @@ class CuriousSAC(nn.Module):
             last = sequences.last(num_steps)
             ends, next_observation = last.terminated, last.next_observation
             if self.looks_past_the_end:  # to the next episode's start, which a regression fits
-                restart = sequences.following(num_steps)
+                restart = sequences.continuation(num_steps)
                 next_observation = torch.where(ends.unsqueeze(-1), restart, next_observation)
                 ends = torch.stack([ends, torch.zeros_like(ends)])
             next_value = self._next_values(next_observation, hunger)

@@ -1,6 +1,5 @@
 """A bonus on data that do not change: whether it is what its text says."""
 
-import json
 from copy import deepcopy
 from typing import TYPE_CHECKING, cast
 
@@ -12,6 +11,7 @@ from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.bonuses.config import CuriosityConfig
 from deep_curiosity.bonuses.curiosity import CuriosityBonus
 from deep_curiosity.bonuses.learner import BonusLearner
+from deep_curiosity.experiments.runs import changed_settings
 from deep_curiosity.replay import ReplayBuffer
 from deep_curiosity.training.environments import make_environment
 from deep_curiosity.training.learner import make_run_bonus
@@ -46,8 +46,11 @@ def run_on_fixed_data(cell: "Cell") -> "Result":
         learner.learn(replay.sample(config.run.batch_size))
         if update % config.run.evaluation_interval == 0:
             rows.append({"updates": update} | measure_bonus(bonus, data, config))
-    settings = json.dumps({k: v for k, v in config.changes().items() if k != "out"})
-    origin = {"version": __version__, "commit": source_commit(), "settings": settings}
+    origin = {
+        "version": __version__,
+        "commit": source_commit(),
+        "settings": changed_settings(config),
+    }
     return Result(rows, [], origin)
 
 
@@ -60,9 +63,9 @@ def collect_uniformly(config: "Config") -> ReplayBuffer:
     observation, _ = environment.reset(seed=config.run.seed)
     for _ in range(config.run.replay_capacity):
         action = environment.action_space.sample()
-        following, reward, terminated, truncated, _ = environment.step(action)
-        replay.add(observation, action, float(reward), following, terminated, truncated)
-        observation = environment.reset()[0] if terminated or truncated else following
+        next_observation, reward, terminated, truncated, _ = environment.step(action)
+        replay.add(observation, action, float(reward), next_observation, terminated, truncated)
+        observation = environment.reset()[0] if terminated or truncated else next_observation
     return replay
 
 

@@ -42,9 +42,14 @@ def run_own(cell: "Cell") -> "Result":
     origin = {
         "version": versions["deep-curiosity"],
         "commit": versions["commit"],
-        "settings": json.dumps({k: v for k, v in config.changes().items() if k != "out"}),
+        "settings": changed_settings(config),
     }
     return Result(cell.study.measure(config, summary), curve, origin)
+
+
+def changed_settings(config: Config) -> str:
+    """Settings that differ from the default, as JSON; where a run lies is none of them."""
+    return json.dumps({k: v for k, v in config.changes().items() if k != "out"})
 
 
 def run_once(config: Config) -> dict[str, Any]:

@@ -162,7 +162,7 @@ class SaturatingMoments(RobustMoments):
 
     .. math:: y = asinh((x - median) / scale)
 
-    Near the median it is the value in units of its scale; a speed ten times as large is two units
+    Near the median it is the value in units of its scale; a speed ten times as large is 2.3 units
     further, whatever it was. The scale solves `mean(min((x - median)^2, 9 scale^2)) = scale^2`, up
     to a factor that makes it the standard deviation of a Gaussian: no row counts for more than
     three scales, so a thousandth of all rows cannot coarsen the sight of the others, while a tenth

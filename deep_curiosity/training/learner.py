@@ -21,6 +21,7 @@ from deep_curiosity.training.hunger import (
     HungerFunction,
     make_hunger_controller,
 )
+from deep_curiosity.transitions import Transition
 
 NUM_DIAGNOSED_STATES = 512  # of replay, over which the information of the actions is estimated
 
@@ -178,22 +179,21 @@ class Learner:
 
     def diagnostics(self) -> dict[str, Tensor]:
         """Metrics of agent and bonus that cost a few milliseconds."""
-        observation = self.replay.evenly_spaced(NUM_DIAGNOSED_STATES).observation
-        metrics = {f"agent/{key}": value for key, value in self.agent.metrics(observation).items()}
+        held = self.replay.evenly_spaced(NUM_DIAGNOSED_STATES)
+        of_agent = self.agent.metrics(held.observation)
+        metrics = {f"agent/{key}": value for key, value in of_agent.items()}
         if self.bonus is not None:
             metrics |= {f"curiosity/{key}": value for key, value in self.bonus.metrics().items()}
-            metrics |= self._bonus_over_replay(self.bonus)
+            metrics |= self._bonus_over(held, self.bonus)
         return metrics
 
     @torch.no_grad()
-    def _bonus_over_replay(self, bonus: Bonus) -> dict[str, Tensor]:
-        """Mean and standard deviation of the bonus over replay, in units of its weight."""
+    def _bonus_over(self, held: Transition, bonus: Bonus) -> dict[str, Tensor]:
+        """Mean and standard deviation of the bonus over transitions, in units of its weight."""
         weight = getattr(self.config.bonus, "weight", 0.0)
         if not (weight and bonus.ready):
             return {}
-        observation, action, _, next_observation, *_ = self.replay.evenly_spaced(
-            NUM_DIAGNOSED_STATES
-        )
+        observation, action, _, next_observation, *_ = held
         value = bonus(observation, action, next_observation) / weight
         return {
             "curiosity/bonus_mean": value.mean(),

@@ -4,26 +4,9 @@ import pytest
 import torch
 
 from deep_curiosity.bonuses.baselines import InformationGainBonus
-from deep_curiosity.transitions import Transition
+from tests.bonuses.baselines.ensembles import predict, transition
 
 SMALL = {"weight": 1.0, "refresh_interval": 1, "num_members": 2, "hidden_dims": (8,)}
-
-
-def transition(batch=64):
-    flag = torch.zeros(batch, dtype=torch.bool)
-    observation = torch.randn(batch, 3)
-    return Transition(
-        observation, torch.rand(batch, 2) * 2 - 1, torch.randn(batch), observation + 1, flag, flag
-    )
-
-
-def predict(bonus, *values):
-    """Let the members predict constants: the layers before the last no longer matter."""
-    last = bonus.ensemble.network.layers[-1]
-    with torch.no_grad():
-        last.weight.zero_()
-        for member, value in enumerate(values):
-            last.bias[member] = value
 
 
 def test_information_gain_is_the_log_ratio_of_variances():
