@@ -67,8 +67,8 @@ def actor_loss(
     value: Float[Tensor, "*components batch"],
     curiosity_value: Float[Tensor, "*components batch"] | float,
     *,
-    temperature: float | Float[Tensor, ""],
-    hunger: float | Float[Tensor, ""] | Float[Tensor, " batch"],
+    temperature: float | Float[Tensor, "*#rows"],
+    hunger: float | Float[Tensor, "*#rows"],
     weight: Float[Tensor, "*components batch"] | float = 1.0,
 ) -> Float[Tensor, ""]:
     r"""Loss whose minimiser over policies is equation (21).
@@ -79,7 +79,7 @@ def actor_loss(
         information_cost: `log pi - log p` of each sampled action, in nats.
         value: Value of the reward, for each sampled action.
         curiosity_value: Value of the bonus, for each sampled action; 0 without curiosity.
-        temperature: Price of a nat, lambda.
+        temperature: Price of a nat, lambda; one for all, or one for each.
         hunger: Weight of the reward's value, alpha; one for all, or one for each.
         weight: Weight of each of the policy's components, where one action was sampled from each.
     """
@@ -96,9 +96,9 @@ def prior_loss(
 
 
 def temperature_loss(
-    log_temperature: Float[Tensor, ""],
-    information_cost: Float[Tensor, " batch"],
+    log_temperature: Float[Tensor, "*policies"],
+    information_cost: Float[Tensor, "*policies batch"],
     target_rate: float,
 ) -> Float[Tensor, ""]:
     """Dual loss of the constraint (10): a nat's price rises while the rate is above target."""
-    return -log_temperature * (information_cost.mean() - target_rate).detach()
+    return -(log_temperature * (information_cost.mean(-1) - target_rate).detach()).sum()

@@ -7,6 +7,8 @@ from typing import Literal, get_args
 from deep_curiosity.configuration import Group, setting
 from deep_curiosity.schedules import Schedule
 
+DEFAULT_GREEDY_SHARE = 0.25
+
 HungerSource = Literal["fixed", "random", "bandit", "battery"]
 
 
@@ -108,6 +110,10 @@ class CuriosityValueConfig(Group):
     """Weight of the value in the policy's objective: a number; or adaptive, the ratio of the
     standard deviations of Q_D and hunger times Q over replay, at most 1, so that curiosity fades
     as reward comes to distinguish states, and the sooner the hungrier the agent."""
+    greedy_share: float | None = setting(None, at_least=0, below=1)
+    """Share of the episodes in which a second policy acts that maximises the reward's value alone;
+    the value is then about this one, and it acts in evaluations. By default a quarter; 0, and the
+    value is about the curious policy, where the agent is conditioned on its hunger."""
     ends: int | None = setting(None, name="curiosity_ends")
     """Environment step from which only reward counts; by default none."""
 
@@ -166,6 +172,11 @@ class AgentConfig(Group):
                 "`curiosity_coefficient` must be 'adaptive' where the agent is conditioned on its "
                 f"hunger, got {self.curiosity.coefficient}."
             )
+        if self.curiosity.greedy_share and self.is_conditioned:
+            raise ValueError(
+                "`greedy_share` must be left out or 0 where conditioned on hunger, "
+                f"got {self.curiosity.greedy_share}."
+            )
         if self.curiosity.discount == 0 and not (
             self.curiosity.steps == 1 and self.curiosity.episodic
         ):
@@ -178,6 +189,13 @@ class AgentConfig(Group):
     def is_conditioned(self) -> bool:
         """Whether policy and critics are given the hunger."""
         return isinstance(self.hunger, ConditionedHunger)
+
+    @property
+    def greedy_share(self) -> float:
+        """Share of the episodes of a curious agent in which its greedy policy acts."""
+        if self.curiosity.greedy_share is not None:
+            return self.curiosity.greedy_share
+        return 0.0 if self.is_conditioned else DEFAULT_GREEDY_SHARE
 
     @property
     def tunes_temperature(self) -> bool:

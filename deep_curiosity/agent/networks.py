@@ -30,9 +30,13 @@ NUM_PRIOR_SAMPLES = 256  # for the reported divergence of the prior from uniform
 class GaussianPolicy(nn.Module):
     """Observation to a mixture of diagonal Gaussians over pre-actions, often of one.
 
+    Several policies may be stacked: batches then hold the rows of the first, then those
+    of the second, and so on, and `hidden` and `at` are those of the last.
+
     Args:
         observation_dim: Length of an observation.
         action_dim: Length of an action.
+        policies: Number of policies.
         mixture_components: Number of Gaussians. One holds a single way of doing things; with more,
             the policy can keep several apart, such as full left and full right.
         hidden_dims: Width of every hidden layer.
@@ -46,6 +50,7 @@ class GaussianPolicy(nn.Module):
         observation_dim: int,
         action_dim: int,
         *,
+        policies: int = 1,
         mixture_components: int = 1,
         hidden_dims: Sequence[int] = (256, 256),
     ) -> None:
@@ -54,22 +59,26 @@ class GaussianPolicy(nn.Module):
         self.mixture_components = mixture_components
         self.action_dim = action_dim
         num_outputs = mixture_components * (2 * action_dim + 1) - 1
-        self.network = StackedMLP(1, observation_dim, hidden_dims, num_outputs)
+        self.network = StackedMLP(policies, observation_dim, hidden_dims, num_outputs)
 
-    def forward(self, observation: Float[Tensor, "batch observation_dim"]) -> DiagonalMixture:
-        """Distribution over pre-actions at each observation."""
+    def forward(
+        self, observation: Float[Tensor, "batch observation_dim"], policy: int | None = None
+    ) -> DiagonalMixture:
+        """Distribution over pre-actions at each observation, of all policies or of one of them."""
         # not by way of `at`: a product would copy activations that have lost their leading axis
-        return self._mixture(self.network(observation)[0])
+        features = self.network(observation)
+        return self._mixture(features.flatten(0, 1) if policy is None else features[policy])
 
     def hidden(
         self, observation: Float[Tensor, "batch observation_dim"]
     ) -> Float[Tensor, "batch hidden_dim"]:
         """Activations of the last hidden layer."""
-        return self.network.hidden(observation)[0]
+        return self.network.hidden(observation)[-1]
 
     def at(self, hidden: Float[Tensor, "batch hidden_dim"]) -> DiagonalMixture:
         """Distribution over pre-actions where the last hidden layer has these activations."""
-        return self._mixture(self.network.layers[-1](hidden.unsqueeze(0))[0])
+        layer = self.network.layers[-1]
+        return self._mixture(hidden @ layer.weight[-1] + layer.bias[-1])
 
     def _mixture(self, features: Float[Tensor, "batch features"]) -> DiagonalMixture:
         split = 2 * self.mixture_components * self.action_dim
@@ -114,16 +123,21 @@ class Critics(nn.Module):
     def forward(
         self,
         observation: Float[Tensor, "batch observation_dim"],
-        action: Float[Tensor, "batch action_dim"],
+        action: Float[Tensor, "batch action_dim"] | Float[Tensor, "pairs batch action_dim"],
     ) -> Float[Tensor, "pairs 2 batch"]:
-        """Both estimates of every value."""
-        value = self.network(torch.cat([observation, action], dim=-1)).squeeze(-1)
+        """Both estimates of every value, at one action for all or one for each."""
+        if action.ndim == 3:
+            observation = observation.expand(self.pairs, -1, -1)
+        entered = torch.cat([observation, action], dim=-1)
+        if action.ndim == 3:
+            entered = entered.repeat_interleave(2, dim=0)
+        value = self.network(entered).squeeze(-1)
         return value.unflatten(0, (self.pairs, 2))
 
     def pessimistic(
         self,
         observation: Float[Tensor, "batch observation_dim"],
-        action: Float[Tensor, "batch action_dim"],
+        action: Float[Tensor, "batch action_dim"] | Float[Tensor, "pairs batch action_dim"],
     ) -> Float[Tensor, "pairs batch"]:
         """The smaller estimate of reward's value, and the mean of the others'."""
         value = self(observation, action)
@@ -132,7 +146,7 @@ class Critics(nn.Module):
     def lower(
         self,
         observation: Float[Tensor, "batch observation_dim"],
-        action: Float[Tensor, "batch action_dim"],
+        action: Float[Tensor, "batch action_dim"] | Float[Tensor, "pairs batch action_dim"],
     ) -> Float[Tensor, "pairs batch"]:
         """The smaller estimate of every value, against overestimation (Fujimoto et al., 2018)."""
         return self(observation, action).amin(1)

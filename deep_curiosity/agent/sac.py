@@ -37,9 +37,9 @@ Hunger = Float[Tensor, ""] | Float[Tensor, " batch"]  # one for all, or one for 
 class PolicySample(NamedTuple):
     """What the actor's step leaves to the prior's and the temperature's, without gradient."""
 
-    pre_action: Float[Tensor, "components batch action_dim"]
-    information_cost: Float[Tensor, "components batch"]
-    weight: Float[Tensor, "components batch"]
+    pre_action: Float[Tensor, "components policies batch action_dim"]
+    information_cost: Float[Tensor, "components policies batch"]
+    weight: Float[Tensor, "components policies batch"]
 
 
 class CuriousSAC(nn.Module):
@@ -98,6 +98,10 @@ class CuriousSAC(nn.Module):
         self.has_curiosity_critic = curiosity and config.curiosity.discount > 0
         """Whether the bonus is a reward of its own, computed once, and never maximised itself."""
         self.looks_past_the_end = self.has_curiosity_critic and not config.curiosity.episodic
+        self.greedy_share = config.greedy_share if curiosity else 0.0
+        """Share of the episodes in which the greedy policy should act; 0 where there is none."""
+        self.has_greedy_policy = self.greedy_share > 0
+        """Whether reward's value is about a second policy, which maximises nothing else."""
         self.sequence_length = max(self.num_steps) + self.looks_past_the_end
         """Steps that the sequences of a batch should have: what is summed, and what follows."""
         discounts = [config.reward.discount, config.curiosity.discount]
@@ -117,12 +121,13 @@ class CuriousSAC(nn.Module):
         )
 
     def _make_networks(self, pairs: int) -> None:
-        """Make policy, critics, the slow copy of these, and the action prior."""
+        """Make policies, critics, the slow copy of these, and the action prior."""
         config, input_dim = self.config, self.observation_dim + int(self.is_conditioned)
         hidden_dims = (config.hidden_dim, config.hidden_dim)
         self.policy = GaussianPolicy(
             input_dim,
             self.action_dim,
+            policies=1 + self.has_greedy_policy,
             mixture_components=config.mixture_components,
             hidden_dims=hidden_dims,
         )
@@ -141,7 +146,8 @@ class CuriousSAC(nn.Module):
         config = self.config
         coefficient = config.curiosity.coefficient
         fixed = ADAPTIVE if coefficient == "adaptive" else coefficient
-        self.log_temperature = nn.Parameter(torch.zeros(()), requires_grad=self.tunes_temperature)
+        prices = torch.zeros(1 + self.has_greedy_policy)  # greedy, curious
+        self.log_temperature = nn.Parameter(prices, requires_grad=self.tunes_temperature)
         self.register_buffer("_hunger", torch.tensor(_first_hunger(config)))
         self.register_buffer("_fixed_coefficient", torch.tensor(fixed))
         self.register_buffer("discounts", torch.tensor(discounts).unsqueeze(-1))  # pairs 1
@@ -195,8 +201,11 @@ class CuriousSAC(nn.Module):
 
     @property
     def temperature(self) -> float:
-        """Price of a nat, lambda; may be set at any step, and is tuned on from there."""
-        return self.log_temperature.exp().item()
+        """Price of a nat, lambda; may be set at any step, and is tuned on from there.
+
+        A greedy policy has a price of its own, which is set together with it.
+        """
+        return self.log_temperature[-1].exp().item()
 
     @temperature.setter
     def temperature(self, value: float) -> None:
@@ -234,6 +243,7 @@ class CuriousSAC(nn.Module):
         observation: Float[Tensor, "batch observation_dim"],
         *,
         deterministic: bool = False,
+        greedy: bool = False,
         hunger: Tensor | None = None,
     ) -> Float[Tensor, "batch action_dim"]:
         """Sample actions in [-1, 1], or take the centre of the policy.
@@ -241,10 +251,12 @@ class CuriousSAC(nn.Module):
         Args:
             observation: Where.
             deterministic: Take the centre of the weightiest component.
+            greedy: Act by the greedy policy, if there is one.
             hunger: One for all or one for each, where conditioned; the agent's own by default.
         """
         check_batch("observation", observation, self.observation_dim, self.log_temperature.dtype)
-        policy = self.policy(self.policy_input(observation, hunger))
+        number = 0 if greedy else -1  # the same where there is one policy
+        policy = self.policy(self.policy_input(observation, hunger), number)
         if deterministic:
             return torch.tanh(policy.select(policy.log_weight.argmax(-1))[0])
         return torch.tanh(policy.sample())
@@ -272,10 +284,12 @@ class CuriousSAC(nn.Module):
         """
         sequences = as_sequences(batch)
         self._check_update(sequences, bonus)
-        hunger = self._sample_hunger(sequences.steps.reward[: sequences.alive.shape[1]])
+        steps, batch_size = sequences.steps, sequences.alive.shape[1]
+        hunger = self._sample_hunger(steps.reward[:batch_size])
+        policy_input = self.policy_input(steps.observation[:batch_size], hunger)
         target = self._targets(sequences, bonus, hunger)
-        metrics = self._update_critics(sequences, target, hunger)
-        sample, actor_metrics = self._update_actor(sequences, bonus, hunger)
+        metrics = self._update_critics(policy_input, steps.action[:batch_size], target)
+        sample, actor_metrics = self._update_actor(policy_input, bonus, hunger)
         metrics |= actor_metrics | self._update_prior(sample) | self._update_temperature(sample)
         with torch.no_grad():  # Polyak averaging, all parameters in one call
             torch._foreach_lerp_(
@@ -299,7 +313,7 @@ class CuriousSAC(nn.Module):
         if self.has_curiosity_critic:
             metrics["curiosity_coefficient"] = self._coefficient(self._hunger)
         if observation is not None:
-            policy = self.policy(self.policy_input(observation))
+            policy = self.policy(self.policy_input(observation), -1)
             with torch.random.fork_rng():  # leaves the global stream where it is
                 torch.manual_seed(0)
                 information = action_information(policy, policy.sample())
@@ -332,13 +346,13 @@ class CuriousSAC(nn.Module):
         return (2 * torch.rand_like(like) - 0.5).clamp(0.0, 1.0)
 
     def _update_critics(
-        self, sequences: Sequences, target: Float[Tensor, "pairs batch"], hunger: Hunger
+        self,
+        policy_input: Float[Tensor, "batch policy_input_dim"],
+        action: Float[Tensor, "batch action_dim"],
+        target: Float[Tensor, "pairs batch"],
     ) -> dict[str, Tensor]:
         """Step the critics towards the targets."""
-        batch = sequences.alive.shape[1]
-        observation, action, *_ = sequences.steps
-        policy_input = self.policy_input(observation[:batch], hunger)
-        value = self.critics(policy_input, action[:batch])  # pairs 2 batch
+        value = self.critics(policy_input, action)  # pairs 2 batch
         loss = critic_loss(value, target.unsqueeze(1))
         self.optimizers["critics"].step(loss)
         value = value.detach()
@@ -389,74 +403,96 @@ class CuriousSAC(nn.Module):
     def _next_values(
         self, observation: Float[Tensor, "batch observation_dim"], hunger: Hunger
     ) -> Float[Tensor, "pairs batch"]:
-        """Values of the states that are reached, under the policy of now."""
+        """Values of the states that are reached, each under its own policy of now."""
         policy_input = self.policy_input(observation, hunger)
         policy = self.policy(policy_input)
         pre_action = policy.sample()
+        action = torch.tanh(pre_action)
+        if self.has_greedy_policy:  # policies are ordered as the values are
+            action = action.unflatten(0, (2, -1))[: len(self.discounts)]
         mean = self.config.curiosity.estimate == "mean"
         estimate = self.target_critics.pessimistic if mean else self.target_critics.lower
-        value = estimate(policy_input, torch.tanh(pre_action))
+        value = estimate(policy_input, action)
         if self.soft_backup:
             information_cost = policy.log_prob(pre_action) - self.prior.log_prob(pre_action)
-            coefficient = self._coefficient(hunger) if self.has_curiosity_critic else None
-            shares = price_shares(hunger, coefficient).reshape(len(value), -1)
-            value -= self.log_temperature.exp() * shares * information_cost
+            if self.has_greedy_policy:  # which alone is charged, at a price of its own
+                value[0] -= self.log_temperature[0].exp() * information_cost[: len(observation)]
+            else:
+                coefficient = self._coefficient(hunger) if self.has_curiosity_critic else None
+                shares = price_shares(hunger, coefficient).reshape(len(value), -1)
+                value -= self.log_temperature.exp() * shares * information_cost
         return value
 
     def _update_actor(
-        self, sequences: Sequences, bonus: Tensor | BonusFunction | None, hunger: Hunger
+        self,
+        policy_input: Float[Tensor, "batch policy_input_dim"],
+        bonus: Tensor | BonusFunction | None,
+        hunger: Hunger,
     ) -> tuple[PolicySample, dict[str, Tensor]]:
-        """Step the policy on a part of the batch; return its sample and what to log."""
-        rows = slice(None, sequences.alive.shape[1], self.actor_stride)
-        observation = sequences.steps.observation[rows]
-        hunger = hunger[rows] if hunger.ndim else hunger
-        policy = self.policy(self.policy_input(observation, hunger))
-        weight = policy.log_weight.exp().mT
+        """Step both policies on a part of the batch; return a sample of the curious one's.
+
+        The second is what to log.
+        """
+        policy_input = policy_input[:: self.actor_stride]
+        hunger = hunger[:: self.actor_stride] if hunger.ndim else hunger
+        policy = self.policy(policy_input)
+        shape = len(self.log_temperature), len(policy_input)
+        weight = policy.log_weight.exp().mT.unflatten(-1, shape)
         # one pre-action of each component, components leading: unbiased and differentiable in
         # the weights as well
         pre_action = policy.component_samples(torch.randn_like(policy.loc)).transpose(0, 1)
         information_cost = policy.log_prob(pre_action) - self.prior.log_prob(pre_action)
-        value, curiosity_value = self._values(observation, torch.tanh(pre_action), bonus, hunger)
+        information_cost = information_cost.unflatten(-1, shape)
+        pre_action = pre_action.unflatten(1, shape)
+        value, curiosity_value = self._values(policy_input, torch.tanh(pre_action), bonus, hunger)
+        if self.has_greedy_policy:  # hungry for reward alone
+            hunger = torch.stack([torch.ones_like(hunger), hunger]).unsqueeze(-1)
         loss = actor_loss(
             information_cost,
             value,
             curiosity_value,
-            temperature=self.log_temperature.detach().exp(),
+            temperature=self.log_temperature.detach().exp().unsqueeze(-1),
             hunger=hunger,
             weight=weight,
         )
         self.optimizers["policy"].step(loss)
         metrics = {
             "policy_loss": loss.detach(),
-            "policy_std": (0.5 * policy.log_var.detach()).exp().mean(),
+            "policy_std": (0.5 * policy.log_var.detach()[-shape[1] :]).exp().mean(),
         }
         sample = PolicySample(pre_action.detach(), information_cost.detach(), weight.detach())
         return sample, metrics
 
     def _values(
         self,
-        observation: Float[Tensor, "batch observation_dim"],
-        action: Float[Tensor, "components batch action_dim"],
+        policy_input: Float[Tensor, "batch policy_input_dim"],
+        action: Float[Tensor, "components policies batch action_dim"],
         bonus: Tensor | BonusFunction | None,
         hunger: Hunger,
-    ) -> tuple[Float[Tensor, "components batch"], Float[Tensor, "components batch"] | float]:
-        """Value of the reward and weighted curiosity value of the policy's actions."""
-        shape = action.shape[:2]
-        policy_input = self.policy_input(observation, hunger).repeat(shape[0], 1)
-        action = action.flatten(0, 1)
+    ) -> tuple[
+        Float[Tensor, "components policies batch"],
+        Float[Tensor, "components policies batch"] | float,
+    ]:
+        """Value of the reward and weighted curiosity value of the policies' actions."""
+        shape = action.shape[:-1]
+        policy_input = policy_input.repeat(shape[0] * shape[1], 1)
         alternate = self.config.actor_q == "alternate"
         estimate = self.critics.alternate if alternate else self.critics.lower
-        value = estimate(policy_input, action).unflatten(-1, shape)
+        value = estimate(policy_input, action.flatten(0, 2)).unflatten(-1, shape)
         if bonus is None:
             return value[0], 0.0
         if self.has_curiosity_critic:
-            curiosity_value = value[1]
+            curiosity_value = value[1, :, -1]
         else:
             assert not isinstance(bonus, Tensor)
-            curiosity_value = bonus(observation.repeat(shape[0], 1), action).unflatten(0, shape)
+            curious = action[:, -1].flatten(0, 1)
+            observation = policy_input[: len(curious), : self.observation_dim]
+            curiosity_value = bonus(observation, curious).unflatten(0, (len(action), -1))
             std = curiosity_value.detach().std(correction=0)
             self.value_stds[1:].lerp_(std.expand(1), 1 - STD_DECAY)
-        return value[0], self._coefficient(hunger) * curiosity_value
+        curiosity_value = self._coefficient(hunger) * curiosity_value
+        of_greed = [torch.zeros_like(curiosity_value)] * self.has_greedy_policy
+        return value[0], torch.stack([*of_greed, curiosity_value], dim=1)
 
     def _coefficient(self, hunger: Hunger) -> Hunger:
         """Weight of the curiosity value in the policy's objective at each hunger."""
@@ -484,8 +520,8 @@ class CuriousSAC(nn.Module):
         """Adjust the price of a nat, where it is tuned, to hold the information rate."""
         rate = (sample.weight * sample.information_cost).sum(0) + self.prior.log_excess
         metrics = {
-            "information_rate": rate.mean(),
-            "temperature": self.log_temperature.detach().exp(),
+            "information_rate": rate[-1].mean(),
+            "temperature": self.log_temperature.detach()[-1].exp(),
         }
         if self.tunes_temperature:
             loss = temperature_loss(self.log_temperature, rate, self.target_information_rate)

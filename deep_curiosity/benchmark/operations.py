@@ -61,19 +61,21 @@ def count_update(config: Config, observation_dim: int, action_dim: int) -> dict[
 
 
 def _count_agent(config: Config, observation_dim: int, action_dim: int) -> int:
-    """Operations of targets, critics and policy."""
+    """Operations of targets, critics and policies."""
     agent, batch = config.agent, config.run.batch_size
     policy = _policy_widths(config, observation_dim, action_dim)
     critic = [observation_dim + action_dim, *_hidden_dims(config), 1]
     num_critics = 2 if config.bonus.kind == "none" else 4
+    policies = _num_policies(config)
 
-    target = count_forward(batch, policy) + num_critics * count_forward(batch, critic)
+    target = policies * count_forward(batch, policy) + num_critics * count_forward(batch, critic)
     evaluation = num_critics * count_training(batch, critic)
     actor_rows = math.ceil(batch / agent.actor_stride)
     shared = 2 if agent.actor_q == "alternate" else 1
-    critic_rows = math.ceil(agent.mixture_components * actor_rows / shared)  # of each critic
+    actions = policies * agent.mixture_components * actor_rows
+    critic_rows = math.ceil(actions / shared)  # of each critic
     action_gradient = num_critics * count_input_gradient(critic_rows, critic, action_dim)
-    return target + evaluation + count_training(actor_rows, policy) + action_gradient
+    return target + evaluation + policies * count_training(actor_rows, policy) + action_gradient
 
 
 def _count_curiosity(
@@ -91,7 +93,8 @@ def _count_curiosity(
     components = bonus.marginal.components
     densities = num_members * count_forward(rows * mixture, [2 * observation_dim, components])
     next_states = num_members * count_forward(round_robin_rows, model)
-    actions = count_forward(batch, _policy_widths(config, observation_dim, action_dim))
+    policy = _policy_widths(config, observation_dim, action_dim)
+    actions = _num_policies(config) * count_forward(batch, policy)
     refresh = actions + next_states + prediction + densities
     # a graph has the predictions from the pass by which the models learn
     return {
@@ -99,6 +102,10 @@ def _count_curiosity(
         "models": num_members * count_training(rows, model),
         "refresh": refresh,
     }
+
+
+def _num_policies(config: Config) -> int:
+    return 2 if config.bonus.kind != "none" and config.agent.greedy_share else 1
 
 
 def _policy_widths(config: Config, observation_dim: int, action_dim: int) -> list[int]:

@@ -372,8 +372,9 @@ class CuriosityBonus(Bonus):
         return prediction if self.entries is None else prediction.coordinates(self.entries)
 
     def _check_question(self, observation: Tensor, action: Tensor) -> None:
-        check_batch("observation", observation, self.observation_dim, self._dtype)
-        check_batch("action", action, self.action_dim, self._dtype)
+        dtype = self._dtype
+        check_batch("observation", observation, self.observation_dim, dtype)
+        check_batch("action", action, self.action_dim, dtype)
         if not self.ready:
             raise RuntimeError("`observe` must see a batch before the bonus can be computed.")
 

@@ -37,8 +37,6 @@ class StackedLinear(nn.Module):
         self, value: Float[Tensor, "members batch in_features"]
     ) -> Float[Tensor, "members batch out_features"]:
         """Apply each member's layer to its own batch."""
-        if self.weight.shape[-1] == 1:  # a product with one column is dearer than a weighted sum
-            return (value * self.weight.mT).sum(-1, keepdim=True) + self.bias
         # the bias apart, which a graph adds for nothing; `baddbmm` would first copy it to all rows
         return torch.bmm(value, self.weight) + self.bias
 
@@ -80,13 +78,15 @@ class StackedMLP(nn.Module):
         """Apply every member to one shared batch, or each member to its own."""
         if value.ndim == 2:
             value = value.repeat(self.members, 1, 1)  # a product would copy what is expanded
-        for layer in self.layers[:-1]:  # written out, as it is done most often of all
+        *hidden, last = self.layers  # written out, as it is done most often of all
+        for layer in hidden:
             value = torch.bmm(value, layer.weight) + layer.bias
             if self.layer_norm:
                 value = normalize_layer(value, value.shape[-1:])
             value = torch.relu(value)
-        output: Tensor = self.layers[-1](value)
-        return output
+        if last.weight.shape[-1] == 1:  # a product with one column is dearer than a weighted sum
+            return (value * last.weight.mT).sum(-1, keepdim=True) + last.bias
+        return torch.bmm(value, last.weight) + last.bias
 
     def hidden(
         self,

@@ -15,18 +15,19 @@ class NumpyPolicy:
 
     Args:
         policy: On the CPU, of one mixture component.
+        number: Which of the policies, where several are stacked; by default the last.
 
     Raises:
         ValueError: If the policy has several components.
     """
 
-    def __init__(self, policy: GaussianPolicy) -> None:
+    def __init__(self, policy: GaussianPolicy, number: int = -1) -> None:
         if policy.mixture_components != 1:
             raise ValueError(
                 f"`policy` must have one mixture component, got {policy.mixture_components}."
             )
         self._layers = [
-            (weight.detach()[0].numpy(), bias.detach()[0, 0].numpy())
+            (weight.detach()[number].numpy(), bias.detach()[number, 0].numpy())
             for weight, bias in (layer.parameters() for layer in policy.network.layers)
         ]
         self._outputs = [np.empty_like(bias) for _, bias in self._layers]

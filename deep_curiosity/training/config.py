@@ -76,7 +76,7 @@ class RunConfig(Group):
     evaluation_interval: int = 2_000
     """Steps from one evaluation to the next; there is always one at the end."""
     evaluation_episodes: int = 10
-    """Episodes of the deterministic policy in each evaluation."""
+    """Episodes in each evaluation, without noise."""
     checkpoint_interval: int = 5_000
     """Steps from one checkpoint to the next; there is always one at the end."""
 

@@ -16,6 +16,7 @@ from deep_curiosity.speed.numpy_policy import NumpyPolicy
 from deep_curiosity.training.collector import Info, Policy, Step, as_batch
 from deep_curiosity.training.config import Config
 from deep_curiosity.training.exploration import Noise, make_noise
+from deep_curiosity.training.greedy import GreedyEpisodes
 from deep_curiosity.training.hunger import (
     HungerController,
     HungerFunction,
@@ -50,6 +51,7 @@ class Learner:
         self.bonus = make_run_bonus(config, observation_dim, action_dim)
         if self.bonus is not None:
             self.bonus.to(self.device)
+        self.greedy_episodes = GreedyEpisodes(config.environment.num_envs, self.agent.greedy_share)
         self.noise = make_noise(config.run.exploration, config.environment.num_envs, action_dim)
         self.bonus_optimizer = config.bonus.make_optimizer(self.bonus)
         self.replay = ReplayBuffer(
@@ -65,7 +67,7 @@ class Learner:
         )
         self._hunger = torch.full((config.environment.num_envs,), self.agent.hunger)
         self._last_hunger: list[float] = []  # of the controller, as the agent has it
-        self._numpy_policy = self._make_numpy_policy()
+        self._numpy_policies = self._make_numpy_policies()
         self._numpy_noise = torch.empty(action_dim)  # filled anew for every action
         self._learn = self._learn_eagerly
         if compiles(config):
@@ -109,18 +111,22 @@ class Learner:
         shape = (len(observation), self.agent.action_dim)
         if explore_uniformly:
             return (2 * torch.rand(shape) - 1).numpy()
-        if self._numpy_policy is not None:
+        greedy = self.greedy_episodes.is_greedy
+        if self._numpy_policies is not None:
             noise = self._numpy_noise.normal_().numpy()
             policy_input = observation[0].astype(np.float32)
             if self.agent.is_conditioned:
                 policy_input = np.append(policy_input, self._hunger.numpy())
-            return self._numpy_policy.act(policy_input, noise)[None]
+            return self._numpy_policies[int(greedy[0])].act(policy_input, noise)[None]
         batch = as_batch(observation).to(self.device)
         hunger = self._hunger.to(self.device)
         if self.noise is None:
             action = self.agent.act(batch, hunger=hunger)
         else:
             action = self._explore(self.agent.policy_input(batch, hunger), self.noise)
+        if greedy.any():
+            chosen = torch.from_numpy(greedy).to(self.device).unsqueeze(-1)
+            action = torch.where(chosen, self.agent.act(batch, greedy=True), action)
         return action.cpu().numpy()
 
     @torch.no_grad()
@@ -136,6 +142,7 @@ class Learner:
         self.replay.extend(*step)
         ended = np.logical_or(step.terminated, step.truncated)
         self.hunger_controller.record(step.reward, ended)
+        self.greedy_episodes.record(ended)
         if self.noise is not None:
             for index in np.flatnonzero(ended):
                 self.noise.begin(int(index))
@@ -209,6 +216,7 @@ class Learner:
             "bonus_optimizer": {} if optimizer is None else optimizer.state_dict(),
             "noise": {} if self.noise is None else self.noise.state_dict(),
             "hunger": self.hunger_controller.state_dict(),
+            "greedy_episodes": self.greedy_episodes.state_dict(),
             "replay": self.replay.state_dict(),
             "random": self._random_state(),
         }
@@ -223,14 +231,15 @@ class Learner:
         if self.noise is not None:
             self.noise.load_state_dict(state["noise"])
         self.hunger_controller.load_state_dict(state["hunger"])
+        self.greedy_episodes.load_state_dict(state["greedy_episodes"])
         self._last_hunger = []
         self.replay.load_state_dict(state["replay"])
         torch.set_rng_state(state["random"]["cpu"])
         if "cuda" in state["random"]:
             torch.cuda.set_rng_state(state["random"]["cuda"], self.device)
 
-    def _make_numpy_policy(self) -> NumpyPolicy | None:
-        """The policy in NumPy, where it may act so and one environment is stepped on the CPU."""
+    def _make_numpy_policies(self) -> tuple[NumpyPolicy, NumpyPolicy] | None:
+        """Curious and greedy policy in NumPy, if one environment is stepped on the CPU."""
         applies = (
             self.config.speed.numpy_policy
             and self.config.environment.num_envs == 1
@@ -238,7 +247,9 @@ class Learner:
             and self.device.type == "cpu"
             and self.noise is None
         )
-        return NumpyPolicy(self.agent.policy) if applies else None
+        if not applies:
+            return None
+        return NumpyPolicy(self.agent.policy), NumpyPolicy(self.agent.policy, 0)
 
     def _random_state(self) -> dict[str, Tensor]:
         """State of the global generators that the run samples from."""
@@ -253,12 +264,14 @@ def make_evaluation_policy(
     hunger_controller: HungerController,
     device: str | torch.device = "cpu",
 ) -> Policy:
-    """Centre of the agent's policy, at the hunger of an evaluation."""
+    """The agent without noise, as it acts for reward, at the hunger of an evaluation."""
 
     def act(observation: Tensor, info: Info) -> Tensor:
         hunger = hunger_controller.in_evaluation(observation.numpy(), info)
         chosen = torch.as_tensor(hunger, dtype=torch.float32, device=device)
-        return agent.act(observation.to(device), deterministic=True, hunger=chosen).cpu()
+        return agent.act(
+            observation.to(device), deterministic=True, greedy=True, hunger=chosen
+        ).cpu()
 
     return act
 

@@ -54,7 +54,7 @@ def load_policy(
             f"bandit, battery or conditioned:VALUE), got {hunger} for {config.agent.hunger}."
         )
     agent.hunger = hunger
-    return lambda observation, info: agent.act(observation, deterministic=True)
+    return lambda observation, info: agent.act(observation, deterministic=True, greedy=True)
 
 
 def record_episode(

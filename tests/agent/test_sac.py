@@ -57,6 +57,7 @@ PLAIN = {
     "hidden_dim": 16,
     "temperature": 1.0,
     "curiosity_coefficient": 1.0,
+    "greedy_share": 0.0,
     "actor_q": "min",
     "actor_batch_fraction": 1.0,
     "learning_rate": 3e-4,
@@ -180,7 +181,7 @@ def test_without_curiosity_the_temperature_loss_is_that_of_soft_actor_critic(noi
     _, log_prob = soft_actor_critic_policy_loss(before, agent.critics, batch, noise[1])
     target_entropy = -2.0
     expected = -(log_prob + target_entropy).mean()  # gradient in log alpha
-    before.log_temperature.grad = expected.detach()
+    before.log_temperature.grad = expected.detach().unsqueeze(0)
     assert_gradients(agent, "temperature", [before.log_temperature], atol=1e-6)
 
 
@@ -196,7 +197,7 @@ def test_with_a_third_of_the_batch_the_actor_takes_every_third_row_and_the_criti
     assert metrics["policy_loss"].item() == pytest.approx(improvement.item(), abs=1e-6)
     improvement.backward()
     assert_gradients(agent, "policy", before.policy.parameters(), atol=1e-6)
-    before.log_temperature.grad = -(log_prob - 2.0).mean().detach()
+    before.log_temperature.grad = -(log_prob - 2.0).mean(0, keepdim=True).detach()
     assert_gradients(agent, "temperature", [before.log_temperature], atol=1e-6)
 
 
@@ -218,7 +219,7 @@ def test_with_half_of_the_batch_every_row_keeps_its_own_hunger():
     agent, batch = conditioned_agent(actor_batch_fraction=0.5), random_transition(5)
     hunger, inputs = torch.linspace(0, 1, 5), []
     agent.policy.register_forward_pre_hook(lambda _, args: inputs.extend(args))
-    agent._update_actor(as_sequences(batch), PushingBonus(1.0), hunger)
+    agent._update_actor(agent.policy_input(batch.observation, hunger), PushingBonus(1.0), hunger)
     (policy_input,) = inputs
     assert policy_input[:, :3].equal(batch.observation[::2])
     assert policy_input[:, 3].equal(hunger[::2])
@@ -438,8 +439,8 @@ def test_normalised_layers_bound_what_critics_extrapolate():
 def test_the_coefficient_weighs_the_curiosity_value_in_the_actor():
     agent, batch = small_agent(curiosity_coefficient="adaptive"), random_transition()
     agent.value_stds.copy_(torch.tensor([4.0, 1.0]))
-    action = batch.action.unsqueeze(0)  # of the policy's only component
-    (value,), (curiosity_value,) = agent._values(
+    action = batch.action[None, None]  # of the only component of the only policy
+    ((value,),), ((curiosity_value,),) = agent._values(
         batch.observation, action, PushingBonus(1.0), torch.ones(())
     )
     lower = agent.critics.lower(batch.observation, batch.action)
@@ -680,7 +681,7 @@ class FixedPolicy(torch.nn.Module):
         super().__init__()
         self.loc, self.weight = torch.tensor(loc), torch.tensor(weight)
 
-    def forward(self, observation):
+    def forward(self, observation, policy=None):
         loc = self.loc.expand(len(observation), -1, -1)
         log_weight = self.weight.log().expand(len(observation), -1)
         return DiagonalMixture(loc, torch.zeros_like(loc), log_weight)
@@ -868,7 +869,7 @@ def test_curiosity_that_is_switched_off_does_not_move_the_actor():
     agent = small_agent()
     agent.curiosity_coefficient = 0.0
     assert agent.curiosity_coefficient == 0
-    action = torch.rand(1, 8, 2)
+    action = torch.rand(1, 1, 8, 2)
     _, curiosity_value = agent._values(
         torch.randn(8, 3), action, PushingBonus(1.0), torch.ones(())
     )

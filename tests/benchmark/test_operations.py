@@ -40,12 +40,12 @@ def test_operations_of_the_plain_agent():
 
 def test_operations_of_the_curious_agent():
     operations = count_update(SMALL, 3, 2)
-    critics = 20 * 4 * 40 + 4 * 20 * (40 + 40 + 20) + 4 * 20 * (40 + 28)
-    policy = 20 * 44 + 20 * (44 + 44 + 32)
+    critics = 20 * 4 * 40 + 4 * 20 * (40 + 40 + 20) + 2 * 4 * 20 * (40 + 28)
+    policies = 2 * (20 * 44 + 20 * (44 + 44 + 32))
     bonus = 2 * (20 * 60 + 20 * 6 * 5)
-    assert operations["agent"] == critics + policy + bonus
+    assert operations["agent"] == critics + policies + bonus
     assert operations["models"] == 2 * 20 * (60 + 60 + 40)
-    assert operations["statistics"] == (20 * 44 + 20 * 60 + bonus) / 10
+    assert operations["statistics"] == (2 * 20 * 44 + 20 * 60 + bonus) / 10
 
 
 def test_round_robin_members_cost_as_one_member():
@@ -69,7 +69,7 @@ def test_alternate_critics_cost_as_one_critic_of_each_pair():
         count_update(SMALL.override(actor_q=actor_q), 3, 2)["agent"]
         for actor_q in ("min", "alternate")
     )
-    assert both - one == 2 * 20 * (40 + 28)
+    assert both - one == 2 * 2 * 20 * (40 + 28)  # of the curious and of the greedy policy
 
 
 def test_an_actor_that_takes_every_third_row_costs_as_many_rows():

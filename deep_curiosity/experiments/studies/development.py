@@ -34,6 +34,9 @@ TASKS = (
 )
 AGENTS: Agents = {
     "default": {},
+    "no greedy policy": {"greedy_share": 0.0},
+    "half of the episodes greedy": {"greedy_share": 0.5},
+    "three-step returns": {"reward_steps": 3},
     "moments": {"whitening": "moments"},
     "256 components": {"components": 256},
     "nothing forgotten": {"marginal_half_life": None},

@@ -1,0 +1,160 @@
+"""The greedy policy, which maximises the value of the reward alone."""
+
+import pytest
+import torch
+
+from deep_curiosity.agent.networks import Critics, GaussianPolicy
+from deep_curiosity.agent.sac import CuriousSAC
+from deep_curiosity.bonuses.baselines import ConstantBonus
+from tests.agent.test_sac import (
+    PushingBonus,
+    copies,
+    equal,
+    let_answer,
+    random_transition,
+    small_agent,
+)
+
+
+def greedy_agent(**options):
+    return small_agent(**{"greedy_share": 0.25} | options)
+
+
+def pushing(slope):
+    """Transitions that end at once, whose reward is the slope times the first action entry."""
+    batch = random_transition(64)
+    ended = torch.ones(64, dtype=torch.bool)
+    return batch._replace(reward=slope * batch.action[:, 0], terminated=ended)
+
+
+def make_narrow(policy):
+    """Give every Gaussian its least width, wherever it is."""
+    layer = policy.network.layers[-1]
+    with torch.no_grad():
+        layer.weight[..., 2:] = 0.0
+        layer.bias[..., 2:] = -100.0
+
+
+@pytest.mark.parametrize("actor_q", ["min", "alternate"])
+@pytest.mark.parametrize("curiosity_discount", [0.0, 0.5])
+@pytest.mark.parametrize("prior", ["uniform", "learned"])
+def test_greed_follows_reward_where_curiosity_outweighs_it(actor_q, curiosity_discount, prior):
+    agent = greedy_agent(
+        curiosity_discount=curiosity_discount,
+        actor_q=actor_q,
+        prior=prior,
+        learning_rate=1e-2,
+        temperature="constant:0.1",
+    )
+    for _ in range(150):
+        agent.update(pushing(2.0), PushingBonus(-20.0))
+    observation = torch.randn(64, 3)
+    assert agent.act(observation, deterministic=True, greedy=True)[:, 0].min() > 0.5
+    assert agent.act(observation, deterministic=True)[:, 0].max() < -0.5
+
+
+def test_a_greedy_policy_is_hungry_where_the_agent_is_not():
+    agent = greedy_agent(hunger=0.0, learning_rate=1e-2, temperature="constant:0.1")
+    for _ in range(150):
+        agent.update(pushing(2.0), ConstantBonus(0.0))
+    observation = torch.randn(64, 3)
+    assert agent.act(observation, deterministic=True, greedy=True)[:, 0].min() > 0.5
+    assert agent.act(observation, deterministic=True)[:, 0].abs().max() < 0.5
+
+
+@pytest.mark.parametrize("curiosity_discount", [0.0, 0.5])
+def test_each_value_is_about_a_policy_of_its_own(curiosity_discount):
+    """Reward's about the greedy policy, curiosity's about the curious one."""
+    agent = greedy_agent(curiosity_estimate="min", curiosity_discount=curiosity_discount)
+    make_narrow(agent.policy)
+    observation = torch.randn(5, 3)
+    value = agent._next_values(observation, torch.tensor(1.0))
+    assert len(value) == 1 + (curiosity_discount > 0)
+    for pair, greedy in enumerate([True, False][: len(value)]):
+        action = agent.act(observation, deterministic=True, greedy=greedy)
+        with torch.no_grad():
+            expected = agent.target_critics.lower(observation, action)[pair]
+        torch.testing.assert_close(value[pair], expected, atol=1e-2, rtol=0)
+
+
+def test_a_soft_backup_charges_the_greedy_policy_its_own_price():
+    agent = greedy_agent(soft_backup=True)
+    agent.log_temperature.data = torch.tensor([100.0, 1e-9]).log()
+    let_answer(agent.target_critics, 1.0, 2.0)
+    observation = torch.randn(5, 3)
+    torch.manual_seed(0)
+    value = agent._next_values(observation, torch.tensor(1.0))
+    torch.manual_seed(0)
+    policy = agent.policy(observation)
+    pre_action = policy.sample()
+    cost = policy.log_prob(pre_action) - agent.prior.log_prob(pre_action)
+    torch.testing.assert_close(value[0], 1 - 100 * cost[:5].detach(), rtol=1e-4, atol=1e-3)
+    assert (value[1] == 2).all()
+
+
+def test_critics_take_one_action_for_all_values_or_one_for_each():
+    critics = Critics(3, 2, hidden_dims=(8,))
+    observation, action = torch.randn(4, 3), torch.randn(2, 4, 2)
+    each = critics(observation, action)
+    for pair in range(2):
+        torch.testing.assert_close(each[pair], critics(observation, action[pair])[pair])
+
+
+def test_stacked_policies_hold_their_rows_one_after_the_other():
+    policies, observation = GaussianPolicy(3, 2, policies=2, hidden_dims=(8,)), torch.randn(4, 3)
+    stacked = policies(observation)
+    for number in range(2):
+        rows = slice(4 * number, 4 * number + 4)
+        for part, own in zip(stacked, policies(observation, number), strict=True):
+            torch.testing.assert_close(part[rows], own)
+    last = policies.at(policies.hidden(observation))
+    torch.testing.assert_close(last.loc, policies(observation, 1).loc)
+
+
+@pytest.mark.parametrize("part", ["reward", "bonus"])
+def test_nothing_of_curiosity_reaches_the_greedy_policy(part):
+    """Another bonus moves the curious policy alone, another reward moves both."""
+    agents, batch = [], random_transition()
+    for factor in (1.0, 3.0):
+        torch.manual_seed(0)
+        agent = greedy_agent(learning_rate=1e-2)
+        scaled = batch._replace(reward=factor * batch.reward) if part == "reward" else batch
+        for _ in range(3):
+            agent.update(scaled, PushingBonus(factor if part == "bonus" else 1.0))
+        agents.append(agent)
+    greedy, curious = (
+        [[parameter[number] for parameter in agent.policy.parameters()] for agent in agents]
+        for number in (0, 1)
+    )
+    assert equal(*greedy) == (part == "bonus")
+    assert not equal(*curious)
+
+
+def test_each_policy_holds_the_rate_at_a_price_of_its_own():
+    agent = greedy_agent(target_information_rate=1.0, learning_rate=1e-2)
+    make_narrow(agent.policy)
+    layer = agent.policy.network.layers[-1]
+    with torch.no_grad():
+        layer.bias[1, :, 2:] = 0.2  # the curious policy alone is wide
+    before = copies([agent.log_temperature])[0]
+    agent.update(random_transition(), ConstantBonus(0.0))
+    assert agent.log_temperature[0] > before[0]
+    assert agent.log_temperature[1] < before[1]
+    assert agent.temperature == pytest.approx(agent.log_temperature[1].exp().item())
+
+
+@pytest.mark.parametrize("options", [{"greedy_share": 0.0}, {"hunger": "random"}])
+def test_without_a_greedy_policy_the_only_one_acts(options):
+    agent, observation = CuriousSAC.default(3, 2, hidden_dim=8, **options), torch.randn(4, 3)
+    assert not agent.has_greedy_policy and agent.greedy_share == 0
+    centre = agent.act(observation, deterministic=True)
+    assert agent.act(observation, deterministic=True, greedy=True).equal(centre)
+
+
+def test_without_curiosity_there_is_no_greedy_policy():
+    assert not small_agent(curiosity=False, greedy_share=0.25).has_greedy_policy
+
+
+def test_a_greedy_share_that_would_do_nothing_is_refused():
+    with pytest.raises(ValueError, match="`greedy_share` must be left out or 0"):
+        CuriousSAC.default(3, 2, greedy_share=0.25, hunger="random")
