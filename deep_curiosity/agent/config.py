@@ -111,7 +111,7 @@ class CuriosityValueConfig(Group):
     standard deviations of Q_D and hunger times Q over replay, at most 1, so that curiosity fades
     as reward comes to distinguish states, and the sooner the hungrier the agent."""
     greedy_share: float | None = setting(None, at_least=0, below=1)
-    """Share of the episodes in which a second policy acts that maximises the reward's value alone;
+    """Share of the steps at which a second policy acts that maximises the reward's value alone;
     the value is then about this one, and it acts in evaluations. By default a quarter; 0, and the
     value is about the curious policy, where the agent is conditioned on its hunger."""
     ends: int | None = setting(None, name="curiosity_ends")
@@ -192,7 +192,7 @@ class AgentConfig(Group):
 
     @property
     def greedy_share(self) -> float:
-        """Share of the episodes of a curious agent in which its greedy policy acts."""
+        """Share of a curious agent's steps at which its greedy policy acts."""
         if self.curiosity.greedy_share is not None:
             return self.curiosity.greedy_share
         return 0.0 if self.is_conditioned else DEFAULT_GREEDY_SHARE

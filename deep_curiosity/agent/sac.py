@@ -51,6 +51,10 @@ class CuriousSAC(nn.Module):
     The two are learned apart, so `hunger` (alpha) and `temperature` (lambda) may be set at any
     step. Without a bonus and with the uniform prior this is soft actor-critic.
 
+    A curious agent is two policies. The curious one follows (21). The greedy one is (21) without
+    `Q_D`, and `Q` is its value: what could be earned from here on by whoever wished, which is not
+    forgotten while the curious policy looks elsewhere.
+
     Where the agent is conditioned on its hunger, every transition is relabelled with a hunger of
     its own: reward weighs `hunger`, curiosity `1 - hunger`, each in units of the standard
     deviation of its value where reward's is the larger. One agent is then every agent from purely
@@ -99,7 +103,7 @@ class CuriousSAC(nn.Module):
         """Whether the bonus is a reward of its own, computed once, and never maximised itself."""
         self.looks_past_the_end = self.has_curiosity_critic and not config.curiosity.episodic
         self.greedy_share = config.greedy_share if curiosity else 0.0
-        """Share of the episodes in which the greedy policy should act; 0 where there is none."""
+        """Share of the steps at which the greedy policy should act; 0 where there is none."""
         self.has_greedy_policy = self.greedy_share > 0
         """Whether reward's value is about a second policy, which maximises nothing else."""
         self.sequence_length = max(self.num_steps) + self.looks_past_the_end
@@ -429,10 +433,7 @@ class CuriousSAC(nn.Module):
         bonus: Tensor | BonusFunction | None,
         hunger: Hunger,
     ) -> tuple[PolicySample, dict[str, Tensor]]:
-        """Step both policies on a part of the batch; return a sample of the curious one's.
-
-        The second is what to log.
-        """
+        """Step the policies on a part of the batch; return their sample and what to log."""
         policy_input = policy_input[:: self.actor_stride]
         hunger = hunger[:: self.actor_stride] if hunger.ndim else hunger
         policy = self.policy(policy_input)

@@ -1,4 +1,4 @@
-"""Episodes in which the agent acts greedily, among those in which it is curious."""
+"""Stretches in which the agent acts greedily, among those in which it is curious."""
 
 from typing import Any
 
@@ -7,28 +7,39 @@ import torch
 from numpy.typing import NDArray
 
 
-class GreedyEpisodes:
-    """Chooses for each episode whether the greedy policy acts in it.
+class GreedyStretches:
+    """Chooses before each step whether the greedy policy acts.
+
+    It takes over anywhere in an episode, where curiosity has led as well as at the start, and lets
+    go again after a while: a chain of two states that is left with a fixed probability.
 
     Args:
         num_envs: Number of environments.
-        share: Share of the episodes; random numbers are torch's own.
+        share: Share of the steps that are greedy; random numbers are torch's own.
+        length: Mean length of a greedy stretch, in steps; longer where the share asks for it,
+            since a curious stretch has one step at least.
+
+    Reference: Pislar et al., "When should agents explore?" (2022), on switching within episodes.
     """
 
-    def __init__(self, num_envs: int, share: float) -> None:
+    def __init__(self, num_envs: int, share: float, length: float) -> None:
         self.share = share
         self.is_greedy: NDArray[np.bool_] = np.zeros(num_envs, dtype=bool)
-        """Whether the episode in each environment is greedy; the first ones never are."""
+        """Whether the greedy policy acts in each environment; at first it does in none."""
+        self._stop = 1 / max(length, share / (1 - share))
+        self._start = self._stop * share / (1 - share)
 
     def record(self, ended: np.ndarray) -> None:
-        """Choose again where an episode has ended."""
+        """Choose for the next step, afresh where an episode has ended."""
         if self.share == 0:
             return
-        for index in np.flatnonzero(ended):
-            self.is_greedy[index] = float(torch.rand(())) < self.share
+        chance = torch.rand(len(ended)).numpy()
+        stays = self.is_greedy & ~ended
+        threshold = np.where(ended, self.share, np.where(stays, 1 - self._stop, self._start))
+        self.is_greedy = chance < threshold
 
     def state_dict(self) -> dict[str, Any]:
-        """Which episodes are greedy."""
+        """Where the greedy policy acts."""
         return {"is_greedy": self.is_greedy.tolist()}
 
     def load_state_dict(self, state: dict[str, Any]) -> None:

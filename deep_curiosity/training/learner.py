@@ -16,7 +16,7 @@ from deep_curiosity.speed.numpy_policy import NumpyPolicy
 from deep_curiosity.training.collector import Info, Policy, Step, as_batch
 from deep_curiosity.training.config import Config
 from deep_curiosity.training.exploration import Noise, make_noise
-from deep_curiosity.training.greedy import GreedyEpisodes
+from deep_curiosity.training.greedy import GreedyStretches
 from deep_curiosity.training.hunger import (
     HungerController,
     HungerFunction,
@@ -51,7 +51,11 @@ class Learner:
         self.bonus = make_run_bonus(config, observation_dim, action_dim)
         if self.bonus is not None:
             self.bonus.to(self.device)
-        self.greedy_episodes = GreedyEpisodes(config.environment.num_envs, self.agent.greedy_share)
+        self.greedy_stretches = GreedyStretches(
+            config.environment.num_envs,
+            self.agent.greedy_share,
+            length=1 / (1 - config.agent.curiosity.discount),  # as far as curiosity looks ahead
+        )
         self.noise = make_noise(config.run.exploration, config.environment.num_envs, action_dim)
         self.bonus_optimizer = config.bonus.make_optimizer(self.bonus)
         self.replay = ReplayBuffer(
@@ -111,7 +115,7 @@ class Learner:
         shape = (len(observation), self.agent.action_dim)
         if explore_uniformly:
             return (2 * torch.rand(shape) - 1).numpy()
-        greedy = self.greedy_episodes.is_greedy
+        greedy = self.greedy_stretches.is_greedy
         if self._numpy_policies is not None:
             noise = self._numpy_noise.normal_().numpy()
             policy_input = observation[0].astype(np.float32)
@@ -142,7 +146,7 @@ class Learner:
         self.replay.extend(*step)
         ended = np.logical_or(step.terminated, step.truncated)
         self.hunger_controller.record(step.reward, ended)
-        self.greedy_episodes.record(ended)
+        self.greedy_stretches.record(ended)
         if self.noise is not None:
             for index in np.flatnonzero(ended):
                 self.noise.begin(int(index))
@@ -216,7 +220,7 @@ class Learner:
             "bonus_optimizer": {} if optimizer is None else optimizer.state_dict(),
             "noise": {} if self.noise is None else self.noise.state_dict(),
             "hunger": self.hunger_controller.state_dict(),
-            "greedy_episodes": self.greedy_episodes.state_dict(),
+            "greedy_stretches": self.greedy_stretches.state_dict(),
             "replay": self.replay.state_dict(),
             "random": self._random_state(),
         }
@@ -231,7 +235,7 @@ class Learner:
         if self.noise is not None:
             self.noise.load_state_dict(state["noise"])
         self.hunger_controller.load_state_dict(state["hunger"])
-        self.greedy_episodes.load_state_dict(state["greedy_episodes"])
+        self.greedy_stretches.load_state_dict(state["greedy_stretches"])
         self._last_hunger = []
         self.replay.load_state_dict(state["replay"])
         torch.set_rng_state(state["random"]["cpu"])

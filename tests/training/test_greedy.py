@@ -3,40 +3,54 @@ import pytest
 import torch
 
 from deep_curiosity.training.config import Config
-from deep_curiosity.training.greedy import GreedyEpisodes
+from deep_curiosity.training.greedy import GreedyStretches
 from deep_curiosity.training.learner import Learner
 
 
-def test_as_many_episodes_are_greedy_as_asked_and_an_episode_stays_what_it_is():
+def walk(stretches, num_steps, *, end_every=10**9):
+    seen = []
+    for step in range(1, num_steps + 1):
+        stretches.record(np.full(len(stretches.is_greedy), step % end_every == 0))
+        seen.append(stretches.is_greedy)
+    return np.array(seen)
+
+
+@pytest.mark.parametrize(("share", "length"), [(0.25, 10.0), (0.5, 30.0), (0.8, 1.0)])
+@pytest.mark.parametrize("end_every", [10**9, 7])
+def test_as_many_steps_are_greedy_as_asked(share, length, end_every):
     torch.manual_seed(0)
-    episodes, seen = GreedyEpisodes(2, 0.25), []
-    assert not episodes.is_greedy.any()
-    for _ in range(2_000):
-        before = episodes.is_greedy.copy()
-        episodes.record(np.array([True, False]))
-        assert episodes.is_greedy[1] == before[1]
-        seen.append(episodes.is_greedy[0])
-    assert np.mean(seen) == pytest.approx(0.25, abs=0.03)
+    stretches = GreedyStretches(20, share, length)
+    assert not stretches.is_greedy.any()
+    seen = walk(stretches, 4_000, end_every=end_every)
+    assert seen[100:].mean() == pytest.approx(share, abs=0.02)
+
+
+def test_a_greedy_stretch_is_as_long_as_asked():
+    torch.manual_seed(0)
+    seen = walk(GreedyStretches(20, 0.25, 10.0), 4_000)
+    begins = (seen[1:] & ~seen[:-1]).sum()
+    assert seen.sum() / begins == pytest.approx(10, rel=0.05)
 
 
 def test_without_a_share_none_is_greedy_and_no_random_number_is_taken():
     before = torch.get_rng_state()
-    episodes = GreedyEpisodes(1, 0.0)
-    episodes.record(np.array([True]))
-    assert not episodes.is_greedy.any()
+    assert not walk(GreedyStretches(1, 0.0, 10.0), 20, end_every=5).any()
     assert torch.get_rng_state().equal(before)
 
 
-def test_a_resumed_run_knows_which_episodes_are_greedy():
-    episodes, other = GreedyEpisodes(3, 0.5), GreedyEpisodes(3, 0.5)
-    episodes.is_greedy[:] = [True, False, True]
-    other.load_state_dict(episodes.state_dict())
-    assert (other.is_greedy == episodes.is_greedy).all()
+def test_a_resumed_run_goes_on_with_the_same_stretches():
+    stretches, other = GreedyStretches(3, 0.5, 3.0), GreedyStretches(3, 0.5, 3.0)
+    walk(stretches, 10)
+    other.load_state_dict(stretches.state_dict())
+    random_state = torch.get_rng_state()
+    expected = walk(stretches, 50)
+    torch.set_rng_state(random_state)
+    assert (walk(other, 50) == expected).all()
 
 
 @pytest.mark.parametrize("numpy_policy", [True, False])
 @pytest.mark.parametrize("num_envs", [1, 2])
-def test_in_a_greedy_episode_the_greedy_policy_acts(numpy_policy, num_envs):
+def test_in_a_greedy_stretch_the_greedy_policy_acts(numpy_policy, num_envs):
     config = Config.of(hidden_dim=8, numpy_policy=numpy_policy, num_envs=num_envs)
     learner = Learner(config, 3, 2)
     layer = learner.agent.policy.network.layers[-1]
@@ -45,7 +59,7 @@ def test_in_a_greedy_episode_the_greedy_policy_acts(numpy_policy, num_envs):
         layer.bias[:] = torch.tensor([[[2.0, 2.0, -9.0, -9.0]], [[-2.0, -2.0, -9.0, -9.0]]])
     observation = np.zeros((num_envs, 3))
     assert (learner.act(observation) < 0).all()
-    learner.greedy_episodes.is_greedy[0] = True
+    learner.greedy_stretches.is_greedy[0] = True
     action = learner.act(observation)
     assert (action[0] > 0).all() and (action[1:] < 0).all()
     evaluated = learner.evaluation_policy(torch.zeros(1, 3), {})

@@ -35,7 +35,7 @@ TASKS = (
 AGENTS: Agents = {
     "default": {},
     "no greedy policy": {"greedy_share": 0.0},
-    "half of the episodes greedy": {"greedy_share": 0.5},
+    "half of the steps greedy": {"greedy_share": 0.5},
     "three-step returns": {"reward_steps": 3},
     "moments": {"whitening": "moments"},
     "256 components": {"components": 256},
