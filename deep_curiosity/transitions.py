@@ -1,6 +1,7 @@
 """The batch that every part speaks: raw transitions, nothing derived."""
 
 import math
+from operator import itemgetter
 from typing import NamedTuple
 
 import torch
@@ -41,14 +42,14 @@ class Sequences(NamedTuple):
         """The first transition of every sequence."""
         if len(self.alive) == 1:
             return self.steps
-        return Transition(*(field[: self.alive.shape[1]] for field in self.steps))
+        return Transition(*map(itemgetter(slice(self.alive.shape[1])), self.steps))
 
     def last(self, num_steps: int) -> Transition:
         """The last transition of every sequence within so many steps."""
         if num_steps == 1:
             return self.first
         rows = self._rows(self.alive[:num_steps].sum(0) - 1)
-        return Transition(*(field[rows] for field in self.steps))
+        return Transition(*map(itemgetter(rows), self.steps))
 
     def continuation(self, num_steps: int) -> Float[Tensor, "batch observation_dim"]:
         """Where one is after the last transition within so many steps, in another episode or not.

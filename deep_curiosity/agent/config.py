@@ -80,7 +80,7 @@ class RewardValueConfig(Group):
 
     discount: float = setting(0.99, at_least=0, below=1)
     """Discount of the reward per step."""
-    reward_steps: int = 1
+    reward_steps: int = 3
     """Steps of reward that are summed before the value is trusted. With `soft_backup` only the
     information cost after the last of them is charged."""
     soft_backup: bool | None = None
@@ -96,7 +96,7 @@ class CuriosityValueConfig(Group):
     discount: float = setting(0.97, name="curiosity_discount", at_least=0, below=1)
     """Discount of the bonus per step; with 0 the policy maximises the bonus itself, as the paper
     writes it, differentiated through the model, and no critic learns it."""
-    steps: int = setting(1, name="curiosity_steps")
+    steps: int = setting(3, name="curiosity_steps")
     """Steps of bonus that are summed before the value is trusted."""
     estimate: Literal["min", "mean"] = setting("mean", name="curiosity_estimate")
     """Of the two estimates of the value at a next state: the smaller, or their mean, since what is
@@ -177,8 +177,9 @@ class AgentConfig(Group):
                 "`greedy_share` must be left out or 0 where conditioned on hunger, "
                 f"got {self.curiosity.greedy_share}."
             )
+        default = CuriosityValueConfig.steps
         if self.curiosity.discount == 0 and not (
-            self.curiosity.steps == 1 and self.curiosity.episodic
+            self.curiosity.steps in (1, default) and self.curiosity.episodic
         ):
             raise ValueError(
                 "`curiosity_discount` must be above 0 where `curiosity_steps` or "

@@ -97,10 +97,11 @@ class CuriousSAC(nn.Module):
         self.tunes_temperature = config.tunes_temperature
         self.actor_stride = config.actor_stride
         self.polyak = config.polyak
-        self.num_steps = config.reward.reward_steps, config.curiosity.steps
-        """Steps that are summed in the target of each value."""
         self.has_curiosity_critic = curiosity and config.curiosity.discount > 0
         """Whether the bonus is a reward of its own, computed once, and never maximised itself."""
+        steps = config.reward.reward_steps, config.curiosity.steps
+        self.num_steps = steps if self.has_curiosity_critic else steps[:1]
+        """Steps that are summed in the target of each value."""
         self.looks_past_the_end = self.has_curiosity_critic and not config.curiosity.episodic
         self.greedy_share = config.greedy_share if curiosity else 0.0
         """Share of the steps at which the greedy policy should act; 0 where there is none."""
@@ -338,7 +339,8 @@ class CuriousSAC(nn.Module):
             )
         if len(sequences.alive) < max(self.num_steps):
             raise ValueError(
-                f"`batch` must hold sequences of at least {max(self.num_steps)} steps, "
+                f"`batch` must hold sequences of at least {max(self.num_steps)} steps, as "
+                "`replay.sample_sequences(batch_size, agent.sequence_length)` samples them, "
                 f"got {len(sequences.alive)}."
             )
         sequences.check(self.observation_dim, self.action_dim, self.log_temperature.dtype)
@@ -378,7 +380,7 @@ class CuriousSAC(nn.Module):
         """
         rewards = self._rewards(sequences.steps, bonus).unflatten(-1, sequences.alive.shape)
         targets = {}
-        for num_steps in sorted(set(self.num_steps[: len(rewards)])):
+        for num_steps in sorted(set(self.num_steps)):
             last = sequences.last(num_steps)
             ends, next_observation = last.terminated, last.next_observation
             if self.looks_past_the_end:  # to the next episode's start, which a regression fits

@@ -88,6 +88,7 @@ def _count_curiosity(
     model = [observation_dim + action_dim, *_hidden_dims(config), outputs]
     round_robin_rows = math.ceil(batch / num_members)  # of each member, where a row has one
     rows = round_robin_rows if dynamics.members == "round_robin" else batch
+    num_steps = max(config.agent.reward.reward_steps, config.agent.curiosity.steps)
 
     prediction = num_members * count_forward(rows, model)
     components = bonus.marginal.components
@@ -96,9 +97,10 @@ def _count_curiosity(
     policy = _policy_widths(config, observation_dim, action_dim)
     actions = _num_policies(config) * count_forward(batch, policy)
     refresh = actions + next_states + prediction + densities
-    # a graph has the predictions from the pass by which the models learn
+    # of one step, a graph has the predictions from the pass by which the models learn
+    is_shared = compiles(config) and num_steps == 1
     return {
-        "bonus": densities if compiles(config) else prediction + densities,
+        "bonus": num_steps * (densities if is_shared else prediction + densities),
         "models": num_members * count_training(rows, model),
         "refresh": refresh,
     }

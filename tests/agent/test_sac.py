@@ -58,6 +58,8 @@ PLAIN = {
     "temperature": 1.0,
     "curiosity_coefficient": 1.0,
     "greedy_share": 0.0,
+    "reward_steps": 1,
+    "curiosity_steps": 1,
     "actor_q": "min",
     "actor_batch_fraction": 1.0,
     "learning_rate": 3e-4,
@@ -1000,7 +1002,7 @@ def test_each_value_sums_as_many_steps_as_are_its_own(episodic):
 
 def test_sequences_that_are_too_short_are_refused():
     agent = small_agent(reward_steps=3)
-    with pytest.raises(ValueError, match="`batch` must hold sequences of at least 3 steps, got 1"):
+    with pytest.raises(ValueError, match=r"`batch` must hold sequences of at least 3 steps.*got 1"):
         agent.update(random_transition(), PushingBonus(1.0))
     with pytest.raises(ValueError, match="got 2"):
         agent.update(random_sequences(2), PushingBonus(1.0))

@@ -12,8 +12,13 @@ from deep_curiosity.benchmark.operations import (
 from deep_curiosity.training import Config
 from deep_curiosity.training.learner import Learner
 
-SIZES = {"hidden_dim": 4, "batch_size": 10, "compile": "off"}
-SMALL = Config.of("exact", num_members=2, components=5, **SIZES)
+SIZES = {
+    "hidden_dim": 4,
+    "batch_size": 10,
+    "compile": "off",
+    "reward_steps": 1,
+}
+SMALL = Config.of("exact", num_members=2, components=5, curiosity_steps=1, **SIZES)
 PLAIN = Config.of("exact", bonus="none", **SIZES)
 # products: policy 3-4-4-4 has 44, critic 5-4-4-1 has 40, model 5-4-4-6 has 60
 
@@ -62,6 +67,12 @@ def test_a_graph_needs_no_pass_of_its_own_for_the_bonus(members, saved):
     graph = count_update(config.override(compile="on"), 3, 2)
     assert eager["agent"] - graph["agent"] == saved
     assert eager["models"] == graph["models"] and eager["statistics"] == graph["statistics"]
+
+
+def test_the_bonus_costs_as_many_times_as_steps_are_summed():
+    one, three = (count_update(SMALL.override(curiosity_steps=n), 3, 2) for n in (1, 3))
+    assert three["agent"] - one["agent"] == 2 * 2 * (20 * 60 + 20 * 6 * 5)
+    assert three["models"] == one["models"]
 
 
 def test_alternate_critics_cost_as_one_critic_of_each_pair():

@@ -38,7 +38,7 @@ VALUES = [
     {"features": (0, -1), "bonus_parts": {"information_gain": 1.0}, "bandwidth": 0.3},
     {"bandwidth": "perplexity", "tune_bonus_weight": "past", "curiosity_coefficient": 0.5},
     {"tune_bonus_weight": 50.0, "marginal_half_life": None},
-    {"curiosity_ends": 700, "curiosity_steps": 3, "curiosity_episodic": False},
+    {"curiosity_ends": 700, "curiosity_steps": 1, "curiosity_episodic": False},
     {"num_envs": 4, "vectorization": "sync", "soft_backup": False, "target_information_rate": 2.0},
 ]
 

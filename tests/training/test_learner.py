@@ -7,8 +7,8 @@ from deep_curiosity.training.learner import Learner
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
-        ({}, ["computed for 8", "learns"]),
-        ({"curiosity_steps": 3}, ["computed for 24", "learns"]),
+        ({}, ["computed for 24", "learns"]),
+        ({"curiosity_steps": 1, "reward_steps": 1}, ["computed for 8", "learns"]),
         # no critic learns the bonus: the policy maximises it, as the models now stand
         ({"curiosity_discount": 0.0}, ["learns", "computed for 8"]),
     ],

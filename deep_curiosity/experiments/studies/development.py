@@ -36,7 +36,7 @@ AGENTS: Agents = {
     "default": {},
     "no greedy policy": {"greedy_share": 0.0},
     "half of the steps greedy": {"greedy_share": 0.5},
-    "three-step returns": {"reward_steps": 3},
+    "one step ahead": {"reward_steps": 1, "curiosity_steps": 1},
     "moments": {"whitening": "moments"},
     "256 components": {"components": 256},
     "nothing forgotten": {"marginal_half_life": None},
