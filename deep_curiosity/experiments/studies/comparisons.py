@@ -45,7 +45,34 @@ def _halved(task: Task) -> Task:
     return replace(task, config=config)
 
 
+GOALS = [
+    replace(PENDULUM, name="PendulumSwingup, full updates"),
+    replace(_halved(PENDULUM), name="PendulumSwingup, half the updates"),
+    replace(_halved(MAZE), name="PointMaze, half the updates"),
+    Task(
+        "PointMaze, ends at goal",
+        MAZE.config.override(env_kwargs={"goal_terminates": 1.0}, evaluation_interval=2_000),
+        solved_return=0.5,  # half of the one reward there is
+    ),
+    MOUNTAIN_CAR,
+    Task(
+        "CartpoleSwingup",
+        SMALL.override(env_id="CartpoleSwingup", total_steps=30_000, evaluation_interval=2_000),
+        solved_return=100.0,
+    ),
+    Task(
+        "dm_control cartpole-swingup_sparse",
+        SMALL.override(
+            env_id="dm_control/cartpole-swingup_sparse-v0",
+            total_steps=50_000,
+            evaluation_interval=5_000,
+        ),
+        solved_return=500.0,
+    ),
+]
+
 STUDIES = {
+    "goals": Study(GOALS, CURIOSITY, seeds=10, curves=True),
     "sparse": Study([PENDULUM, MAZE], CURIOSITY | PLAIN, curves=True),
     "control": Study([PENDULUM, MAZE], {"constant bonus": {"bonus": "constant"}}, curves=True),
     "subsampling": Study(
