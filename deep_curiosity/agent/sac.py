@@ -272,8 +272,9 @@ class CuriousSAC(nn.Module):
         """Take one gradient step on every part.
 
         Args:
-            batch: From replay, the reward as the environment gave it; sequences where more than
-                one step is to be summed. Every field but `truncated` is read.
+            batch: From replay, the reward as the environment gave it. Every field but `truncated`
+                is read. Values look one step ahead in transitions, several in sequences: as many
+                as are set in `replay.sample_sequences(batch_size, agent.sequence_length)`.
             bonus: Computed afresh for all steps of the batch, `(num_steps * batch,)`, so that
                 nothing in replay is ever stale; or the function itself, of observation, action and
                 next observation, which must be given where `curiosity_discount` is 0.
@@ -284,8 +285,7 @@ class CuriousSAC(nn.Module):
         Raises:
             TypeError: If a field of the transition has the wrong kind.
             ValueError: If a bonus is given to an agent without curiosity, or not to a curious one,
-                or a field has the wrong shape or holds NaN or infinity, or sequences are shorter
-                than the steps to be summed.
+                or a field has the wrong shape or holds NaN or infinity.
         """
         sequences = as_sequences(batch)
         self._check_update(sequences, bonus)
@@ -337,12 +337,6 @@ class CuriousSAC(nn.Module):
                 "`bonus` must be a function where `curiosity_discount` is 0, since the policy "
                 f"maximises it, got a tensor of shape {tuple(bonus.shape)}."
             )
-        if len(sequences.alive) < max(self.num_steps):
-            raise ValueError(
-                f"`batch` must hold sequences of at least {max(self.num_steps)} steps, as "
-                "`replay.sample_sequences(batch_size, agent.sequence_length)` samples them, "
-                f"got {len(sequences.alive)}."
-            )
         sequences.check(self.observation_dim, self.action_dim, self.log_temperature.dtype)
 
     def _sample_hunger(self, like: Float[Tensor, " batch"]) -> Hunger:
@@ -376,11 +370,12 @@ class CuriousSAC(nn.Module):
     ) -> Float[Tensor, "pairs batch"]:
         """Targets of the reward's value and, where it is learned, of the curiosity value.
 
-        Each sums as many steps as are its own.
+        Each sums as many steps as are its own, or as the sequences hold where that is less.
         """
         rewards = self._rewards(sequences.steps, bonus).unflatten(-1, sequences.alive.shape)
         targets = {}
-        for num_steps in sorted(set(self.num_steps)):
+        summed = [min(own, len(sequences.alive)) for own in self.num_steps]
+        for num_steps in sorted(set(summed)):
             last = sequences.last(num_steps)
             ends, next_observation = last.terminated, last.next_observation
             if self.looks_past_the_end:  # to the next episode's start, which a regression fits
@@ -394,7 +389,7 @@ class CuriousSAC(nn.Module):
             )
         if len(targets) == 1:
             return targets[num_steps]
-        return torch.stack([targets[own][pair] for pair, own in enumerate(self.num_steps)])
+        return torch.stack([targets[own][pair] for pair, own in enumerate(summed)])
 
     def _rewards(
         self, steps: Transition, bonus: Tensor | BonusFunction | None

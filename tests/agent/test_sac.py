@@ -1000,12 +1000,16 @@ def test_each_value_sums_as_many_steps_as_are_its_own(episodic):
             assert found[row].item() == pytest.approx(expected, rel=1e-4)
 
 
-def test_sequences_that_are_too_short_are_refused():
-    agent = small_agent(reward_steps=3)
-    with pytest.raises(ValueError, match="`batch` must hold sequences of at least 3 steps, as"):
-        agent.update(random_transition(), PushingBonus(1.0))
-    with pytest.raises(ValueError, match="got 2"):
-        agent.update(random_sequences(2), PushingBonus(1.0))
+def test_values_look_as_far_ahead_as_the_batch_goes():
+    one, three = small_agent(), small_agent(reward_steps=3, curiosity_steps=3)
+    three.load_state_dict(one.state_dict())
+    sequences, bonus, hunger = random_sequences(3), PushingBonus(1.0), torch.ones(())
+    for batch in (as_sequences(sequences.first), sequences):
+        targets = []
+        for agent in (one, three):
+            torch.manual_seed(1)
+            targets.append(agent._targets(batch, bonus, hunger))
+        assert targets[0].equal(targets[1]) == (batch is not sequences)
 
 
 @pytest.mark.parametrize("num_steps", [1, 3])
