@@ -4,8 +4,16 @@ from typing import Any
 
 from deep_curiosity.experiments.fixed_data import run_on_fixed_data
 from deep_curiosity.experiments.runs import measure_area
-from deep_curiosity.experiments.studies.comparisons import MAZE, MOUNTAIN_CAR, PENDULUM, SMALL
+from deep_curiosity.experiments.studies.comparisons import (
+    CURIOSITY,
+    MAZE,
+    MOUNTAIN_CAR,
+    PENDULUM,
+    PLAIN,
+    SMALL,
+)
 from deep_curiosity.experiments.study import Agents, Study, Task
+from deep_curiosity.training.config import Config
 
 HALF: dict[str, Any] = {"update_to_data": 0.5, "evaluation_interval": 2_000}
 TASKS = (
@@ -61,7 +69,20 @@ FIXED_TASKS = [
     )
 ]
 
+DENSE = Config.of(total_steps=30_000, log_interval=2_000, evaluation_interval=3_000)
+DENSE_TASKS = [
+    Task(env_id, DENSE.override(env_id=env_id)) for env_id in ("HalfCheetah-v5", "Hopper-v5")
+]
+
 STUDIES = {
+    "harm": Study(
+        DENSE_TASKS,
+        CURIOSITY | PLAIN,
+        seeds=8,
+        first_seed=100,
+        columns=("area", "evaluation_return"),
+        measure=measure_area,
+    ),
     "development": Study(
         TASKS,
         AGENTS,
