@@ -20,6 +20,15 @@ def test_the_first_ctrl_c_is_noted_and_the_second_stops_at_once():
         pytest.fail("the second one should have raised")
 
 
+@pytest.fixture
+def hears_interruptions():
+    """Python's own handler, also where a shell has started the tests in the background."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.usefixtures("hears_interruptions")
 @pytest.mark.parametrize("error", [None, ValueError])
 def test_the_handler_from_before_is_restored_however_the_block_ends(error):
     before = signal.getsignal(signal.SIGINT)
