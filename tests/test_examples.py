@@ -110,7 +110,7 @@ def test_replay_holds_what_the_environment_gave(path, play):
 
 @every_whole_agent
 def test_the_bonus_reaches_the_critic(path, play):
-    text, short = path.read_text(), "--total-steps 100 --learning-starts 50"
+    text, short = path.read_text(), "--total-steps 200 --learning-starts 50"
     indifferent = text.replace("+ bonus.compute(", "+ 0 * bonus.compute(")
     assert indifferent != text  # and samples the same random numbers
     first, again, without = (
@@ -118,7 +118,7 @@ def test_the_bonus_reaches_the_critic(path, play):
     )
     for name, value in first.items():
         assert torch.equal(value, again[name])
-        assert not torch.equal(value, without[name])
+        assert not torch.allclose(value, without[name])
 
 
 @every_whole_agent

@@ -126,9 +126,7 @@ class Critics(nn.Module):
         action: Float[Tensor, "batch action_dim"] | Float[Tensor, "pairs batch action_dim"],
     ) -> Float[Tensor, "pairs 2 batch"]:
         """Both estimates of every value, at one action for all or one for each."""
-        if action.ndim == 3:
-            observation = observation.expand(self.pairs, -1, -1)
-        entered = torch.cat([observation, action], dim=-1)
+        entered = torch.cat([observation.expand(*action.shape[:-1], -1), action], dim=-1)
         if action.ndim == 3:
             entered = entered.repeat_interleave(2, dim=0)
         value = self.network(entered).squeeze(-1)

@@ -16,6 +16,25 @@ MAZE = Task(
     SMALL.override(env_id="PointMaze", total_steps=24_000),
     solved_return=101.5,  # half of what the tests' scripted walk along the shortest way earns
 )
+MAZE_THAT_ENDS = Task(
+    "PointMaze, ends at goal",
+    MAZE.config.override(env_kwargs={"goal_terminates": 1.0}, evaluation_interval=2_000),
+    solved_return=0.5,  # half of the one reward there is
+)
+CARTPOLE = Task(
+    "CartpoleSwingup",
+    SMALL.override(env_id="CartpoleSwingup", total_steps=30_000, evaluation_interval=2_000),
+    solved_return=100.0,
+)
+CARTPOLE_SPARSE = Task(
+    "dm_control cartpole-swingup_sparse",
+    SMALL.override(
+        env_id="dm_control/cartpole-swingup_sparse-v0",
+        total_steps=50_000,
+        evaluation_interval=5_000,
+    ),
+    solved_return=500.0,
+)
 MOUNTAIN_CAR = Task(
     "MountainCarContinuous-v0",
     SMALL.override(env_id="MountainCarContinuous-v0"),
@@ -49,26 +68,10 @@ GOALS = [
     replace(PENDULUM, name="PendulumSwingup, full updates"),
     replace(_halved(PENDULUM), name="PendulumSwingup, half the updates"),
     replace(_halved(MAZE), name="PointMaze, half the updates"),
-    Task(
-        "PointMaze, ends at goal",
-        MAZE.config.override(env_kwargs={"goal_terminates": 1.0}, evaluation_interval=2_000),
-        solved_return=0.5,  # half of the one reward there is
-    ),
+    MAZE_THAT_ENDS,
     MOUNTAIN_CAR,
-    Task(
-        "CartpoleSwingup",
-        SMALL.override(env_id="CartpoleSwingup", total_steps=30_000, evaluation_interval=2_000),
-        solved_return=100.0,
-    ),
-    Task(
-        "dm_control cartpole-swingup_sparse",
-        SMALL.override(
-            env_id="dm_control/cartpole-swingup_sparse-v0",
-            total_steps=50_000,
-            evaluation_interval=5_000,
-        ),
-        solved_return=500.0,
-    ),
+    CARTPOLE,
+    CARTPOLE_SPARSE,
 ]
 
 STUDIES = {

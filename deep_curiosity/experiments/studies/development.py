@@ -1,12 +1,16 @@
 """The tasks on which defaults are chosen, on seeds that are reported nowhere else."""
 
+from dataclasses import replace
 from typing import Any
 
 from deep_curiosity.experiments.fixed_data import run_on_fixed_data
 from deep_curiosity.experiments.runs import measure_area
 from deep_curiosity.experiments.studies.comparisons import (
+    CARTPOLE,
+    CARTPOLE_SPARSE,
     CURIOSITY,
     MAZE,
+    MAZE_THAT_ENDS,
     MOUNTAIN_CAR,
     PENDULUM,
     PLAIN,
@@ -16,30 +20,18 @@ from deep_curiosity.experiments.study import Agents, Study, Task
 from deep_curiosity.training.config import Config
 
 HALF: dict[str, Any] = {"update_to_data": 0.5, "evaluation_interval": 2_000}
-TASKS = (
-    Task(PENDULUM.name, PENDULUM.config.override(**HALF), PENDULUM.solved_return),
-    Task(MAZE.name, MAZE.config.override(**HALF, total_steps=16_000), MAZE.solved_return),
-    Task(
-        "PointMaze, ends at goal",
-        MAZE.config.override(**HALF, total_steps=16_000, env_kwargs={"goal_terminates": 1.0}),
-        solved_return=0.5,  # half of the one reward there is
-    ),
-    Task(
-        MOUNTAIN_CAR.name,
-        MOUNTAIN_CAR.config.override(**HALF, total_steps=12_000),
-        MOUNTAIN_CAR.solved_return,
-    ),
-    Task(
-        "CartpoleSwingup",
-        SMALL.override(**HALF, env_id="CartpoleSwingup", total_steps=20_000),
-        solved_return=100.0,
-    ),
-    Task(
-        "dm_control cartpole-swingup_sparse",
-        SMALL.override(**HALF, env_id="dm_control/cartpole-swingup_sparse-v0", total_steps=20_000),
-        solved_return=500.0,
-    ),
-)
+LENGTHS = [
+    (PENDULUM, 16_000),
+    (MAZE, 16_000),
+    (MAZE_THAT_ENDS, 16_000),
+    (MOUNTAIN_CAR, 12_000),
+    (CARTPOLE, 20_000),
+    (CARTPOLE_SPARSE, 20_000),
+]
+TASKS = [
+    replace(task, config=task.config.override(**HALF, total_steps=length))
+    for task, length in LENGTHS
+]
 AGENTS: Agents = {
     "default": {},
     "no greedy policy": {"greedy_share": 0.0},
