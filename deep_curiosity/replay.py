@@ -156,13 +156,14 @@ class ReplayBuffer:
             ValueError: If the buffer is empty or a count is below 1.
         """
         self._check_sample(batch_size=batch_size, num_steps=num_steps)
-        start = self._sample_below(len(self), batch_size)
+        size = len(self)
+        start = self._sample_below(size, batch_size)
         if num_steps == 1:
             alive = torch.ones(1, batch_size, dtype=torch.bool, device=start.device)
             return self._rows.index_select(0, start), alive
         age = start + self.num_envs * self._arange(num_steps).unsqueeze(-1)  # from the oldest
-        known = age < len(self)
-        slot = self._num_added - len(self) + age.clamp(max=len(self) - 1)
+        known = age < size
+        slot = self._num_added - size + age.clamp(max=size - 1)
         rows = self._rows.index_select(0, (slot % self.capacity).flatten())
         ended = (rows[:, -2:] > 0).any(-1).unflatten(0, (num_steps, batch_size))
         goes_on = ~ended[:-1] & known[1:]

@@ -40,14 +40,19 @@ class Sequences(NamedTuple):
     @property
     def first(self) -> Transition:
         """The first transition of every sequence."""
-        if len(self.alive) == 1:
+        return self.head(1)
+
+    def head(self, num_steps: int) -> Transition:
+        """The first steps of every sequence, so many or as many as there are."""
+        if num_steps >= len(self.alive):
             return self.steps
-        return Transition(*map(itemgetter(slice(self.alive.shape[1])), self.steps))
+        rows = slice(num_steps * self.alive.shape[1])
+        return Transition(*map(itemgetter(rows), self.steps))
 
     def last(self, num_steps: int) -> Transition:
         """The last transition of every sequence within so many steps."""
         if num_steps == 1:
-            return self.first
+            return self.head(1)
         rows = self._rows(self.alive[:num_steps].sum(0) - 1)
         return Transition(*map(itemgetter(rows), self.steps))
 
@@ -57,7 +62,7 @@ class Sequences(NamedTuple):
         It is the observation of the step behind it, where the sequences hold that; else the last
         transition's own next observation.
         """
-        if len(self.alive) == num_steps:
+        if len(self.alive) <= num_steps:
             return self.last(num_steps).next_observation
         return self.steps.observation[self._rows(self.alive[:num_steps].sum(0))]
 

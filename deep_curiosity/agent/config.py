@@ -96,7 +96,7 @@ class CuriosityValueConfig(Group):
     discount: float = setting(0.97, name="curiosity_discount", at_least=0, below=1)
     """Discount of the bonus per step; with 0 the policy maximises the bonus itself, as the paper
     writes it, differentiated through the model, and no critic learns it."""
-    steps: int = setting(3, name="curiosity_steps")
+    steps: int = setting(1, name="curiosity_steps")
     """Steps of bonus that are summed before the value is trusted."""
     estimate: Literal["min", "mean"] = setting("mean", name="curiosity_estimate")
     """Of the two estimates of the value at a next state: the smaller, or their mean, since what is

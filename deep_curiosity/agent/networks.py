@@ -62,9 +62,15 @@ class GaussianPolicy(nn.Module):
         self.network = StackedMLP(policies, observation_dim, hidden_dims, num_outputs)
 
     def forward(
-        self, observation: Float[Tensor, "batch observation_dim"], policy: int | None = None
+        self,
+        observation: Float[Tensor, "batch observation_dim"]
+        | Float[Tensor, "policies batch observation_dim"],
+        policy: int | None = None,
     ) -> DiagonalMixture:
-        """Distribution over pre-actions at each observation, of all policies or of one of them."""
+        """Distribution over pre-actions at each observation, of all policies or of one of them.
+
+        Policies look at the same observations, or each at its own.
+        """
         # not by way of `at`: a product would copy activations that have lost their leading axis
         features = self.network(observation)
         return self._mixture(features.flatten(0, 1) if policy is None else features[policy])
@@ -122,20 +128,22 @@ class Critics(nn.Module):
 
     def forward(
         self,
-        observation: Float[Tensor, "batch observation_dim"],
-        action: Float[Tensor, "batch action_dim"] | Float[Tensor, "pairs batch action_dim"],
+        observation: Float[Tensor, "*#values batch observation_dim"],
+        action: Float[Tensor, "*#values batch action_dim"],
     ) -> Float[Tensor, "pairs 2 batch"]:
-        """Both estimates of every value, at one action for all or one for each."""
-        entered = torch.cat([observation.expand(*action.shape[:-1], -1), action], dim=-1)
-        if action.ndim == 3:
+        """Both estimates of every value, at one state and action for all or one for each."""
+        if observation.ndim < action.ndim:
+            observation = observation.expand(*action.shape[:-1], -1)
+        entered = torch.cat([observation, action], dim=-1)
+        if entered.ndim == 3:
             entered = entered.repeat_interleave(2, dim=0)
         value = self.network(entered).squeeze(-1)
         return value.unflatten(0, (self.pairs, 2))
 
     def pessimistic(
         self,
-        observation: Float[Tensor, "batch observation_dim"],
-        action: Float[Tensor, "batch action_dim"] | Float[Tensor, "pairs batch action_dim"],
+        observation: Float[Tensor, "*#values batch observation_dim"],
+        action: Float[Tensor, "*#values batch action_dim"],
     ) -> Float[Tensor, "pairs batch"]:
         """The smaller estimate of reward's value, and the mean of the others'."""
         value = self(observation, action)
@@ -143,22 +151,35 @@ class Critics(nn.Module):
 
     def lower(
         self,
-        observation: Float[Tensor, "batch observation_dim"],
-        action: Float[Tensor, "batch action_dim"] | Float[Tensor, "pairs batch action_dim"],
+        observation: Float[Tensor, "*#values batch observation_dim"],
+        action: Float[Tensor, "*#values batch action_dim"],
     ) -> Float[Tensor, "pairs batch"]:
         """The smaller estimate of every value, against overestimation (Fujimoto et al., 2018)."""
         return self(observation, action).amin(1)
 
-    def alternate(
+    def of_one(
         self,
+        pair: int,
         observation: Float[Tensor, "batch observation_dim"],
         action: Float[Tensor, "batch action_dim"],
-    ) -> Float[Tensor, "pairs batch"]:
-        """One estimate of every value: row `r` by critic `r % 2`, for half of what both cost."""
-        pair = torch.cat([observation, action], dim=-1)
-        row, _ = assign_rows(len(pair), 2, pair.device)
-        value = self.network(pair[row].repeat(self.pairs, 1, 1)).squeeze(-1)  # critics rows
-        return restore_order(value.unflatten(0, (self.pairs, 2)).movedim(0, -1), len(pair)).mT
+        *,
+        alternate: bool = False,
+    ) -> Float[Tensor, " batch"]:
+        """The smaller estimate of one value alone; or row `r` by critic `r % 2`, at half the cost.
+
+        Args:
+            pair: Which value.
+            observation: Where.
+            action: What is done there.
+            alternate: Ask one critic at each row, in place of both.
+        """
+        entered = torch.cat([observation, action], dim=-1)
+        critics = slice(2 * pair, 2 * pair + 2)
+        if not alternate:
+            return self.network(entered, critics).squeeze(-1).amin(0)
+        row, _ = assign_rows(len(entered), 2, entered.device)
+        value = self.network(entered[row], critics).squeeze(-1)  # critics rows
+        return restore_order(value, len(entered))
 
 
 class Prior(nn.Module, ABC):

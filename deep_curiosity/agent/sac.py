@@ -220,9 +220,9 @@ class CuriousSAC(nn.Module):
 
     def policy_input(
         self,
-        observation: Float[Tensor, "batch observation_dim"],
+        observation: Float[Tensor, "*values batch observation_dim"],
         hunger: Tensor | None = None,
-    ) -> Float[Tensor, "batch policy_input_dim"]:
+    ) -> Float[Tensor, "*values batch policy_input_dim"]:
         """Input of policy and critics: the observation, and behind it the hunger if conditioned.
 
         Args:
@@ -235,12 +235,13 @@ class CuriousSAC(nn.Module):
         if not self.is_conditioned:
             return observation
         hunger = self._hunger if hunger is None else hunger
-        if hunger.shape not in ((), observation.shape[:1]):
+        if hunger.shape not in ((), observation.shape[-2:-1]):
             raise ValueError(
-                f"`hunger` must be one number or {len(observation)}, got shape "
+                f"`hunger` must be one number or {observation.shape[-2]}, got shape "
                 f"{tuple(hunger.shape)}."
             )
-        return torch.cat([observation, hunger.expand(len(observation)).unsqueeze(-1)], dim=-1)
+        entry = hunger.expand(observation.shape[:-1]).unsqueeze(-1)
+        return torch.cat([observation, entry], dim=-1)
 
     @torch.no_grad()
     def act(
@@ -266,6 +267,10 @@ class CuriousSAC(nn.Module):
             return torch.tanh(policy.select(policy.log_weight.argmax(-1))[0])
         return torch.tanh(policy.sample())
 
+    def curious_steps(self, sequences: Sequences) -> Transition:
+        """The steps whose bonus counts: of every sequence as many as the curiosity value sums."""
+        return sequences.head(self.num_steps[-1])
+
     def update(
         self, batch: Transition | Sequences, bonus: Tensor | BonusFunction | None = None
     ) -> dict[str, Tensor]:
@@ -275,9 +280,9 @@ class CuriousSAC(nn.Module):
             batch: From replay, the reward as the environment gave it. Every field but `truncated`
                 is read. Values look one step ahead in transitions, several in sequences: as many
                 as are set in `replay.sample_sequences(batch_size, agent.sequence_length)`.
-            bonus: Computed afresh for all steps of the batch, `(num_steps * batch,)`, so that
-                nothing in replay is ever stale; or the function itself, of observation, action and
-                next observation, which must be given where `curiosity_discount` is 0.
+            bonus: Computed afresh for the `curious_steps` of the batch, so that nothing in replay is ever
+                stale; or the function itself, of observation, action and next observation, which
+                must be given where `curiosity_discount` is 0.
 
         Returns:
             What to log: detached 0-d tensors, information in nats.
@@ -372,56 +377,76 @@ class CuriousSAC(nn.Module):
 
         Each sums as many steps as are its own, or as the sequences hold where that is less.
         """
-        rewards = self._rewards(sequences.steps, bonus).unflatten(-1, sequences.alive.shape)
-        targets = {}
-        summed = [min(own, len(sequences.alive)) for own in self.num_steps]
-        for num_steps in sorted(set(summed)):
+        ends, reached = [], []
+        for pair, num_steps in enumerate(self.num_steps):
             last = sequences.last(num_steps)
-            ends, next_observation = last.terminated, last.next_observation
-            if self.looks_past_the_end:  # to the next episode's start, which a regression fits
+            ends.append(last.terminated)
+            reached.append(last.next_observation)
+            if pair and self.looks_past_the_end:  # to the next start, which a regression fits
                 restart = sequences.continuation(num_steps)
-                next_observation = torch.where(ends.unsqueeze(-1), restart, next_observation)
-                ends = torch.stack([ends, torch.zeros_like(ends)])
-            next_value = self._next_values(next_observation, hunger)
-            alive = sequences.alive[:num_steps]
-            targets[num_steps] = n_step_target(
-                rewards[:, :num_steps], alive, ends, next_value, self.discounts
+                reached[-1] = torch.where(ends[-1].unsqueeze(-1), restart, reached[-1])
+                ends[-1] = torch.zeros_like(ends[-1])
+        is_shared = len(set(self.num_steps)) == 1 and not self.looks_past_the_end
+        next_value = self._next_values(reached[0] if is_shared else torch.stack(reached), hunger)
+        targets = []
+        for pair, reward in enumerate(self._rewards(sequences, bonus)):
+            steps = slice(self.num_steps[pair])
+            targets.append(
+                n_step_target(
+                    reward.unflatten(0, (-1, sequences.alive.shape[1]))[steps],
+                    sequences.alive[steps],
+                    ends[pair],
+                    next_value[pair],
+                    self.discounts[pair],
+                )
             )
-        if len(targets) == 1:
-            return targets[num_steps]
-        return torch.stack([targets[own][pair] for pair, own in enumerate(summed)])
+        return torch.stack(targets)
 
     def _rewards(
-        self, steps: Transition, bonus: Tensor | BonusFunction | None
-    ) -> Float[Tensor, "pairs steps"]:
-        """Reward and, where its value is learned, bonus."""
+        self, sequences: Sequences, bonus: Tensor | BonusFunction | None
+    ) -> list[Float[Tensor, " steps"]]:
+        """Reward of each step and, where its value is learned, bonus of those that it sums."""
         if bonus is None or not self.has_curiosity_critic:
-            return steps.reward.unsqueeze(0)
+            return [sequences.steps.reward]
         if not isinstance(bonus, Tensor):
-            bonus = bonus(steps.observation, steps.action, steps.next_observation)
-        return torch.stack([steps.reward, bonus])
+            observation, action, _, next_observation, *_ = self.curious_steps(sequences)
+            bonus = bonus(observation, action, next_observation)
+        return [sequences.steps.reward, bonus]
 
     def _next_values(
-        self, observation: Float[Tensor, "batch observation_dim"], hunger: Hunger
+        self,
+        observation: Float[Tensor, "batch observation_dim"]
+        | Float[Tensor, "pairs batch observation_dim"],
+        hunger: Hunger,
     ) -> Float[Tensor, "pairs batch"]:
-        """Values of the states that are reached, each under its own policy of now."""
+        """Values of the states that are reached, each under its own policy of now.
+
+        Args:
+            observation: One state for all values, or one for each.
+            hunger: One for all, or one for each of the batch.
+        """
         policy_input = self.policy_input(observation, hunger)
-        policy = self.policy(policy_input)
+        # policies are ordered as the values are; one policy takes all rows
+        policy = self.policy(
+            policy_input if self.has_greedy_policy else policy_input.flatten(0, -2)
+        )
         pre_action = policy.sample()
         action = torch.tanh(pre_action)
-        if self.has_greedy_policy:  # policies are ordered as the values are
-            action = action.unflatten(0, (2, -1))[: len(self.discounts)]
+        batch_size = policy_input.shape[-2]
+        if len(action) > batch_size:
+            action = action.unflatten(0, (-1, batch_size))[: len(self.discounts)]
         mean = self.config.curiosity.estimate == "mean"
         estimate = self.target_critics.pessimistic if mean else self.target_critics.lower
         value = estimate(policy_input, action)
         if self.soft_backup:
             information_cost = policy.log_prob(pre_action) - self.prior.log_prob(pre_action)
             if self.has_greedy_policy:  # which alone is charged, at a price of its own
-                value[0] -= self.log_temperature[0].exp() * information_cost[: len(observation)]
+                value[0] -= self.log_temperature[0].exp() * information_cost[:batch_size]
             else:
                 coefficient = self._coefficient(hunger) if self.has_curiosity_critic else None
                 shares = price_shares(hunger, coefficient).reshape(len(value), -1)
-                value -= self.log_temperature.exp() * shares * information_cost
+                cost = information_cost.unflatten(0, (-1, batch_size))
+                value -= self.log_temperature.exp() * shares * cost
         return value
 
     def _update_actor(
@@ -475,22 +500,23 @@ class CuriousSAC(nn.Module):
         shape = action.shape[:-1]
         policy_input = policy_input.repeat(shape[0] * shape[1], 1)
         alternate = self.config.actor_q == "alternate"
-        estimate = self.critics.alternate if alternate else self.critics.lower
-        value = estimate(policy_input, action.flatten(0, 2)).unflatten(-1, shape)
+        value = self.critics.of_one(0, policy_input, action.flatten(0, 2), alternate=alternate)
+        value = value.unflatten(0, shape)
         if bonus is None:
-            return value[0], 0.0
+            return value, 0.0
+        curious = action[:, -1].flatten(0, 1)
+        policy_input = policy_input[: len(curious)]
         if self.has_curiosity_critic:
-            curiosity_value = value[1, :, -1]
+            curiosity_value = self.critics.of_one(1, policy_input, curious, alternate=alternate)
         else:
             assert not isinstance(bonus, Tensor)
-            curious = action[:, -1].flatten(0, 1)
-            observation = policy_input[: len(curious), : self.observation_dim]
-            curiosity_value = bonus(observation, curious).unflatten(0, (len(action), -1))
+            curiosity_value = bonus(policy_input[:, : self.observation_dim], curious)
             std = curiosity_value.detach().std(correction=0)
             self.value_stds[1:].lerp_(std.expand(1), 1 - STD_DECAY)
+        curiosity_value = curiosity_value.unflatten(0, (shape[0], shape[2]))
         curiosity_value = self._coefficient(hunger) * curiosity_value
         of_greed = [torch.zeros_like(curiosity_value)] * self.has_greedy_policy
-        return value[0], torch.stack([*of_greed, curiosity_value], dim=1)
+        return value, torch.stack([*of_greed, curiosity_value], dim=1)
 
     def _coefficient(self, hunger: Hunger) -> Hunger:
         """Weight of the curiosity value in the policy's objective at each hunger."""

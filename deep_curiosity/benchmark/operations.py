@@ -88,7 +88,7 @@ def _count_curiosity(
     model = [observation_dim + action_dim, *_hidden_dims(config), outputs]
     round_robin_rows = math.ceil(batch / num_members)  # of each member, where a row has one
     rows = round_robin_rows if dynamics.members == "round_robin" else batch
-    num_steps = max(config.agent.reward.reward_steps, config.agent.curiosity.steps)
+    num_steps = config.agent.curiosity.steps
 
     prediction = num_members * count_forward(rows, model)
     components = bonus.marginal.components

@@ -13,6 +13,7 @@ from torch.nn.functional import layer_norm as normalize_layer
 from torch.nn.functional import pad
 from torch.optim.adam import adam
 
+ALL = slice(None)
 MEAN_DECAY, SQUARE_DECAY, EPSILON = 0.9, 0.999, 1e-8
 
 
@@ -74,19 +75,21 @@ class StackedMLP(nn.Module):
     def forward(
         self,
         value: Float[Tensor, "batch in_features"] | Float[Tensor, "members batch in_features"],
+        some: slice = ALL,
     ) -> Float[Tensor, "members batch out_features"]:
-        """Apply every member to one shared batch, or each member to its own."""
-        if value.ndim == 2:
-            value = value.repeat(self.members, 1, 1)  # a product would copy what is expanded
+        """Apply every member, or some of them, to one shared batch, or each to its own."""
+        if value.ndim == 2:  # a product would copy what is expanded
+            value = value.repeat(len(self.layers[0].weight[some]), 1, 1)
         *hidden, last = self.layers  # written out, as it is done most often of all
         for layer in hidden:
-            value = torch.bmm(value, layer.weight) + layer.bias
+            value = torch.bmm(value, layer.weight[some]) + layer.bias[some]
             if self.layer_norm:
                 value = normalize_layer(value, value.shape[-1:])
             value = torch.relu(value)
-        if last.weight.shape[-1] == 1:  # a product with one column is dearer than a weighted sum
-            return (value * last.weight.mT).sum(-1, keepdim=True) + last.bias
-        return torch.bmm(value, last.weight) + last.bias
+        weight, bias = last.weight[some], last.bias[some]
+        if weight.shape[-1] == 1:  # a product with one column is dearer than a weighted sum
+            return (value * weight.mT).sum(-1, keepdim=True) + bias
+        return torch.bmm(value, weight) + bias
 
     def hidden(
         self,

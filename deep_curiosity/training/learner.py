@@ -177,10 +177,11 @@ class Learner:
         if self.bonus is not None:
             if self.agent.has_curiosity_critic:
                 # before the models learn: in a graph it then needs no pass of its own
-                observation, action, _, next_observation, *_ = sequences.steps
+                steps = self.agent.curious_steps(sequences)
+                observation, action, _, next_observation, *_ = steps
                 with torch.no_grad():
                     bonus = self.bonus(observation, action, next_observation)
-            loss = self.bonus.loss(sequences.first)
+            loss = self.bonus.loss(sequences.head(1))
             if self.bonus_optimizer is not None:
                 self.bonus_optimizer.step(loss)
             metrics["curiosity/model_loss"] = loss.detach()

@@ -87,13 +87,25 @@ def test_lower_value_is_the_smaller_of_each_pair():
     assert 0 < (expected == value[:, 0]).float().mean() < 1  # neither estimate always wins
 
 
+@pytest.mark.parametrize("pair", [0, 1])
 @pytest.mark.parametrize("rows", [1, 6, 7])
-def test_alternating_each_row_goes_to_one_critic_of_each_pair(rows):
+def test_one_value_alone_is_asked_of_its_own_critics(rows, pair):
     critics = Critics(3, 2, pairs=2, hidden_dims=(8,))
     observation, action = torch.randn(rows, 3), torch.randn(rows, 2)
-    both = critics(observation, action)  # pairs 2 rows
-    expected = torch.stack([both[:, row % 2, row] for row in range(rows)], dim=-1)
-    torch.testing.assert_close(critics.alternate(observation, action), expected)
+    both = critics(observation, action)[pair]  # 2 rows
+    torch.testing.assert_close(critics.of_one(pair, observation, action), both.amin(0))
+    expected = torch.stack([both[row % 2, row] for row in range(rows)])
+    found = critics.of_one(pair, observation, action, alternate=True)
+    torch.testing.assert_close(found, expected)
+
+
+def test_each_value_may_be_asked_at_a_state_and_action_of_its_own():
+    critics = Critics(3, 2, pairs=2, hidden_dims=(8,))
+    observation, action = torch.randn(2, 5, 3), torch.randn(2, 5, 2)
+    together = critics(observation, action)
+    for pair in range(2):
+        alone = critics(observation[pair], action[pair])[pair]
+        torch.testing.assert_close(together[pair], alone)
 
 
 def test_values_depend_on_observation_and_action():

@@ -963,11 +963,11 @@ def test_past_the_end_the_curiosity_value_goes_on_where_the_next_episode_begins(
     sequences = Sequences(steps, torch.stack([torch.ones(4).bool(), ~ends]))
     asked = []
     agent._next_values = lambda observation, hunger: (
-        asked.append(observation) or torch.ones(2, len(observation))
+        asked.append(observation) or torch.ones(2, observation.shape[-2])
     )
     reward, curiosity = agent._targets(sequences, torch.zeros(8), agent._hunger)
     expected = torch.where(ends.unsqueeze(-1), second.observation, first.next_observation)
-    assert asked[0].equal(expected)
+    assert asked[0].equal(torch.stack([first.next_observation, expected]))
     discount = agent.discounts[1]
     torch.testing.assert_close(curiosity, discount.expand(4))
     torch.testing.assert_close(reward[ends], first.reward[ends])
@@ -998,6 +998,35 @@ def test_each_value_sums_as_many_steps_as_are_its_own(episodic):
             ended = ends and sequences.steps.terminated[(lives - 1) * 32 + row]
             expected += 0.0 if ended else discount**lives * ahead
             assert found[row].item() == pytest.approx(expected, rel=1e-4)
+
+
+def test_each_value_is_asked_where_its_own_steps_lead():
+    """By one pass of the policies and critics, whatever the numbers of steps."""
+    for options in ({"greedy_share": 0.25}, {}, {"soft_backup": True}):
+        agent = small_agent(reward_steps=3, curiosity_steps=1, **options)
+        sequences, asked = random_sequences(3), []
+        inner = agent._next_values
+        agent._next_values = lambda *args, ask=inner, seen=asked: seen.append(args) or ask(*args)
+        targets = agent._targets(sequences, PushingBonus(1.0), torch.ones(()))
+        assert targets.shape == (2, 32) and targets.isfinite().all()
+        ((reached, _),) = asked
+        assert reached[0].equal(sequences.last(3).next_observation)
+        assert reached[1].equal(sequences.first.next_observation)
+
+
+def test_the_next_value_of_each_state_is_that_of_its_own_policy():
+    """As if every value had been asked alone at all of these states."""
+    observation = torch.randn(2, 16, 3)
+    for options in ({"greedy_share": 0.25}, {"greedy_share": 0.0}):
+        agent = small_agent(**options)
+        with torch.no_grad():  # next to deterministic
+            bias = agent.policy.network.layers[-1].bias
+            bias[..., agent.action_dim :] = -100.0
+        hunger = torch.ones(())
+        together = agent._next_values(observation, hunger)
+        for pair in range(2):
+            alone = agent._next_values(observation[pair], hunger)[pair]
+            torch.testing.assert_close(together[pair], alone, atol=0.05, rtol=0.05)
 
 
 def test_values_look_as_far_ahead_as_the_batch_goes():
