@@ -57,6 +57,8 @@ class ReplayBuffer:
         self.action_dim = action_dim
         self._widths = [observation_dim, action_dim, 1, observation_dim, 1, 1]
         self._rows = torch.empty(capacity, sum(self._widths), device=device)
+        self.bonus = torch.full((capacity,), math.nan, device=device)
+        """Of the transition in each slot, as it last was; NaN until it is known."""
         self._num_added = 0
         self._generator = torch.Generator(device).manual_seed(seed)
 
@@ -89,6 +91,7 @@ class ReplayBuffer:
             self._rows.numpy()[slot] = row  # half the price of going through torch
         else:
             self._rows[slot].copy_(torch.from_numpy(row), non_blocking=True)
+        self.bonus[slot] = math.nan
         self._num_added += 1
 
     def extend(
@@ -126,6 +129,7 @@ class ReplayBuffer:
             self._rows.numpy()[slot] = newest  # half the price of going through torch
         else:
             self._rows[torch.from_numpy(slot)] = torch.from_numpy(newest).to(self._rows.device)
+        self.bonus[torch.from_numpy(slot)] = math.nan
 
     def sample(self, batch_size: int) -> Transition:
         """Sample transitions uniformly, with replacement.
@@ -145,12 +149,17 @@ class ReplayBuffer:
         Raises:
             ValueError: If the buffer is empty or a count is below 1.
         """
-        return self.sequences(*self.sample_rows(batch_size, num_steps))
+        rows, alive, _ = self.sample_rows(batch_size, num_steps)
+        return self.sequences(rows, alive)
 
     def sample_rows(
         self, batch_size: int, num_steps: int = 1
-    ) -> tuple[Float[Tensor, "steps row"], Bool[Tensor, "num_steps batch"]]:
+    ) -> tuple[Float[Tensor, "steps row"], Bool[Tensor, "num_steps batch"], Int[Tensor, " steps"]]:
         """Sequences as they lie in memory, for `sequences` to take apart: in a graph, for nothing.
+
+        Returns:
+            Rows, the first of every sequence, then the second of every sequence, and so on; which
+            of them belong to their sequence; and the slot of each.
 
         Raises:
             ValueError: If the buffer is empty or a count is below 1.
@@ -160,14 +169,16 @@ class ReplayBuffer:
         start = self._sample_below(size, batch_size)
         if num_steps == 1:
             alive = torch.ones(1, batch_size, dtype=torch.bool, device=start.device)
-            return self._rows.index_select(0, start), alive
+            return self._rows.index_select(0, start), alive, start
         age = start + self.num_envs * self._arange(num_steps).unsqueeze(-1)  # from the oldest
         known = age < size
         slot = self._num_added - size + age.clamp(max=size - 1)
-        rows = self._rows.index_select(0, (slot % self.capacity).flatten())
+        slot = (slot % self.capacity).flatten()
+        rows = self._rows.index_select(0, slot)
         ended = (rows[:, -2:] > 0).any(-1).unflatten(0, (num_steps, batch_size))
         goes_on = ~ended[:-1] & known[1:]
-        return rows, torch.cat([torch.ones_like(ended[:1]), goes_on]).cumprod(0).bool()
+        alive = torch.cat([torch.ones_like(ended[:1]), goes_on]).cumprod(0).bool()
+        return rows, alive, slot
 
     def sequences(
         self, rows: Float[Tensor, "steps row"], alive: Bool[Tensor, "num_steps batch"]
@@ -248,6 +259,7 @@ class ReplayBuffer:
         """Rows held and the state of the generator."""
         return {
             "rows": self._rows[: len(self)].clone(),
+            "bonus": self.bonus[: len(self)].clone(),
             "num_added": self._num_added,
             "generator": self._generator.get_state(),
         }
@@ -267,6 +279,7 @@ class ReplayBuffer:
                 f"{state['num_added']} additions, got {tuple(rows.shape)}."
             )
         self._rows[: rows.shape[0]] = rows
+        self.bonus[: rows.shape[0]] = state["bonus"]
         self._num_added = state["num_added"]
         self._generator.set_state(state["generator"])
 

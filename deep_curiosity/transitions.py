@@ -49,6 +49,12 @@ class Sequences(NamedTuple):
         rows = slice(num_steps * self.alive.shape[1])
         return Transition(*map(itemgetter(rows), self.steps))
 
+    def known(self, bonus: Float[Tensor, " steps"]) -> "Sequences":
+        """The same sequences as far as their bonus is known, which is not NaN."""
+        alive = self.alive.clone()
+        alive.flatten()[: len(bonus)] &= ~bonus.isnan()
+        return Sequences(self.steps, alive.cumprod(0).bool())
+
     def last(self, num_steps: int) -> Transition:
         """The last transition of every sequence within so many steps."""
         if num_steps == 1:

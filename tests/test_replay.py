@@ -45,7 +45,8 @@ def test_a_step_comes_out_as_it_went_in():
 
 def test_rows_taken_apart_are_the_transitions_that_would_have_been_sampled():
     one, other = filled(8), filled(8)
-    assert equal(one.sequences(*one.sample_rows(20)).steps, other.sample(20))
+    rows, alive, _ = one.sample_rows(20)
+    assert equal(one.sequences(rows, alive).steps, other.sample(20))
     with pytest.raises(ValueError, match="must hold a transition"):
         ReplayBuffer(4, 3, 2).sample_rows(1)
 
@@ -389,3 +390,31 @@ def test_sequences_of_one_step_are_what_is_sampled():
     assert equal(one.sample(16), other.sample_sequences(16, 1).first)
     with pytest.raises(ValueError, match="`num_steps` must be at least 1, got 0"):
         one.sample_sequences(4, 0)
+
+
+def test_the_bonus_of_a_slot_is_unknown_until_it_is_kept_and_again_once_overwritten():
+    replay = ReplayBuffer(4, 1, 1)
+    for number in range(4):
+        replay.add([float(number)], [0.0], 0.0, [float(number)], False, False)
+    assert replay.bonus.isnan().all()
+    replay.bonus[:] = torch.arange(4.0)
+    copy = ReplayBuffer(4, 1, 1)
+    copy.load_state_dict(replay.state_dict())
+    assert copy.bonus.tolist() == [0, 1, 2, 3]
+    replay.add([4.0], [0.0], 0.0, [4.0], False, False)
+    assert replay.bonus.isnan().tolist() == [True, False, False, False]
+    rows = np.zeros((2, 1))
+    flags = np.zeros(2, dtype=bool)
+    replay.extend(rows, rows, np.zeros(2), rows, flags, flags)
+    assert replay.bonus.isnan().tolist() == [True, True, True, False]
+
+
+def test_slots_say_where_each_step_of_a_sequence_lies():
+    replay = ReplayBuffer(8, 1, 1)
+    for number in range(11):
+        replay.add([float(number)], [0.0], 0.0, [float(number)], False, number % 4 == 3)
+    for num_steps in (1, 3):
+        rows, alive, slot = replay.sample_rows(50, num_steps)
+        assert slot.shape == (50 * num_steps,)
+        observation = replay.sequences(rows, alive).steps.observation[:, 0]
+        assert (observation[alive.flatten()].long() % 8).equal(slot[alive.flatten()])

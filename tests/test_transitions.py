@@ -1,3 +1,5 @@
+import math
+
 import pytest
 import torch
 
@@ -123,3 +125,18 @@ def test_sequences_that_do_not_fit_their_steps_are_rejected():
 def test_a_count_below_one_is_rejected_by_name_and_value():
     with pytest.raises(ValueError, match="`rows` must be at least 1, got 0"):
         check_counts(columns=1, rows=0)
+
+
+def test_an_unknown_bonus_ends_what_is_known_of_a_sequence():
+    """And of no other; what follows the steps whose bonus is given stays as it was."""
+    batch = Transition(*(torch.zeros(9, 2), torch.zeros(9, 1), torch.zeros(9)), *_ends(9))
+    alive = torch.tensor([[1, 1, 1], [1, 1, 1], [1, 0, 1]]).bool()
+    bonus = torch.tensor([0.0, 1.0, 2.0, math.nan, 3.0, 4.0])
+    known = Sequences(batch, alive).known(bonus)
+    assert known.steps is batch
+    assert known.alive.tolist() == [[True] * 3, [False, True, True], [False, False, True]]
+    assert alive[1].all()  # the sequences themselves stay
+
+
+def _ends(number):
+    return torch.zeros(number, 2), torch.zeros(number).bool(), torch.zeros(number).bool()

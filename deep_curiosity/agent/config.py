@@ -85,8 +85,8 @@ class RewardValueConfig(Group):
     information cost after the last of them is charged."""
     soft_backup: bool | None = None
     """Charge the values with the information cost of later actions, as soft actor-critic does. By
-    default only without curiosity and with the uniform prior: the paper keeps the value purely
-    about reward, and where reward is rare the cost of a thousand steps outweighs it."""
+    default with the uniform prior, where reward's value is about a policy that maximises nothing
+    else: that of an agent without curiosity, or the greedy one, whose own cost it then is."""
 
 
 @dataclass(frozen=True)
@@ -96,11 +96,8 @@ class CuriosityValueConfig(Group):
     discount: float = setting(0.97, name="curiosity_discount", at_least=0, below=1)
     """Discount of the bonus per step; with 0 the policy maximises the bonus itself, as the paper
     writes it, differentiated through the model, and no critic learns it."""
-    steps: int = setting(1, name="curiosity_steps")
+    steps: int = setting(3, name="curiosity_steps")
     """Steps of bonus that are summed before the value is trusted."""
-    estimate: Literal["min", "mean"] = setting("mean", name="curiosity_estimate")
-    """Of the two estimates of the value at a next state: the smaller, or their mean, since what is
-    not known yet is no reason for pessimism where it is sought."""
     episodic: bool = setting(True, name="curiosity_episodic")
     """End the value where the episode terminates; otherwise it goes on from where the next episode
     begins, as in Burda et al. (2018)."""

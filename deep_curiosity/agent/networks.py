@@ -24,6 +24,7 @@ Value = TypeVar("Value", Tensor, np.ndarray)
 LOG_STD_RANGE = (-5.0, 2.0)  # below -5 the tanh density is sharper than float32 resolves
 LOG_STD_FLOOR = math.log(0.05)  # of a prior's component, pre-squash: no habit is narrower
 UNIFORM_EDGE = 1 - 1e-6  # atanh is infinite at the edge of the action box
+OF_REWARD, OF_OTHERS = slice(0, 2), slice(2, None)  # critics
 NUM_PRIOR_SAMPLES = 256  # for the reported divergence of the prior from uniform
 
 
@@ -101,12 +102,15 @@ def in_log_std_range(squashed: Value) -> Value:
 
 
 class Critics(nn.Module):
-    """Pairs of state-action values, all in one stacked network.
+    """State-action values, all in one stacked network: that of the reward twice, others once.
+
+    Reward's value is maximised, and the smaller of two estimates guards against overestimation
+    (Fujimoto et al., 2018). What is not known yet is no reason for pessimism where it is sought.
 
     Args:
         observation_dim: Length of an observation.
         action_dim: Length of an action.
-        pairs: Number of values, each learned twice.
+        others: Number of other values, such as that of curiosity.
         hidden_dims: Width of every hidden layer.
         layer_norm: Normalise every hidden layer, which bounds what is extrapolated.
     """
@@ -116,70 +120,64 @@ class Critics(nn.Module):
         observation_dim: int,
         action_dim: int,
         *,
-        pairs: int = 2,
+        others: int = 1,
         hidden_dims: Sequence[int] = (256, 256),
         layer_norm: bool = False,
     ) -> None:
         super().__init__()
-        self.pairs = pairs
         self.network = StackedMLP(
-            2 * pairs, observation_dim + action_dim, hidden_dims, 1, layer_norm=layer_norm
+            2 + others, observation_dim + action_dim, hidden_dims, 1, layer_norm=layer_norm
         )
 
     def forward(
         self,
         observation: Float[Tensor, "*#values batch observation_dim"],
         action: Float[Tensor, "*#values batch action_dim"],
-    ) -> Float[Tensor, "pairs 2 batch"]:
-        """Both estimates of every value, at one state and action for all or one for each."""
+    ) -> Float[Tensor, "critics batch"]:
+        """Every estimate of every value, at one state and action for all or one for each value."""
         if observation.ndim < action.ndim:
             observation = observation.expand(*action.shape[:-1], -1)
         entered = torch.cat([observation, action], dim=-1)
         if entered.ndim == 3:
-            entered = entered.repeat_interleave(2, dim=0)
-        value = self.network(entered).squeeze(-1)
-        return value.unflatten(0, (self.pairs, 2))
-
-    def pessimistic(
-        self,
-        observation: Float[Tensor, "*#values batch observation_dim"],
-        action: Float[Tensor, "*#values batch action_dim"],
-    ) -> Float[Tensor, "pairs batch"]:
-        """The smaller estimate of reward's value, and the mean of the others'."""
-        value = self(observation, action)
-        return torch.cat([value[:1].amin(1), value[1:].mean(1)])
+            entered = for_each_critic(entered)
+        return self.network(entered).squeeze(-1)
 
     def lower(
         self,
         observation: Float[Tensor, "*#values batch observation_dim"],
         action: Float[Tensor, "*#values batch action_dim"],
-    ) -> Float[Tensor, "pairs batch"]:
-        """The smaller estimate of every value, against overestimation (Fujimoto et al., 2018)."""
-        return self(observation, action).amin(1)
+    ) -> Float[Tensor, "values batch"]:
+        """Every value, that of the reward by its smaller estimate."""
+        value = self(observation, action)
+        return torch.cat([value[:2].amin(0, keepdim=True), value[2:]])
 
-    def of_one(
+    def of_reward(
         self,
-        pair: int,
         observation: Float[Tensor, "batch observation_dim"],
         action: Float[Tensor, "batch action_dim"],
         *,
         alternate: bool = False,
     ) -> Float[Tensor, " batch"]:
-        """The smaller estimate of one value alone; or row `r` by critic `r % 2`, at half the cost.
-
-        Args:
-            pair: Which value.
-            observation: Where.
-            action: What is done there.
-            alternate: Ask one critic at each row, in place of both.
-        """
+        """Reward's value alone, the smaller estimate or, at half the cost, row `r` by `r % 2`."""
         entered = torch.cat([observation, action], dim=-1)
-        critics = slice(2 * pair, 2 * pair + 2)
         if not alternate:
-            return self.network(entered, critics).squeeze(-1).amin(0)
+            return self.network(entered, OF_REWARD).squeeze(-1).amin(0)
         row, _ = assign_rows(len(entered), 2, entered.device)
-        value = self.network(entered[row], critics).squeeze(-1)  # critics rows
+        value = self.network(entered[row], OF_REWARD).squeeze(-1)  # critics rows
         return restore_order(value, len(entered))
+
+    def of_others(
+        self,
+        observation: Float[Tensor, "batch observation_dim"],
+        action: Float[Tensor, "batch action_dim"],
+    ) -> Float[Tensor, "others batch"]:
+        """The other values alone."""
+        return self.network(torch.cat([observation, action], dim=-1), OF_OTHERS).squeeze(-1)
+
+
+def for_each_critic(value: Float[Tensor, "values *rest"]) -> Float[Tensor, "critics *rest"]:
+    """What belongs to each value, for each of its critics."""
+    return torch.cat([value[:1], value])
 
 
 class Prior(nn.Module, ABC):

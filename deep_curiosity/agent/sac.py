@@ -11,7 +11,7 @@ from torch import Tensor, nn
 
 from deep_curiosity.agent.action_information import action_information
 from deep_curiosity.agent.config import AgentConfig, ConditionedHunger
-from deep_curiosity.agent.networks import PRIORS, Critics, GaussianPolicy
+from deep_curiosity.agent.networks import PRIORS, Critics, GaussianPolicy, for_each_critic
 from deep_curiosity.configuration import override
 from deep_curiosity.losses import (
     actor_loss,
@@ -55,6 +55,10 @@ class CuriousSAC(nn.Module):
     `Q_D`, and `Q` is its value: what could be earned from here on by whoever wished, which is not
     forgotten while the curious policy looks elsewhere.
 
+    `Q_D` is relative to its mean over replay, as in relative value iteration: its targets leave
+    that out of what follows. A bonus above zero then does not pile up, and the end of an episode
+    is worth as much as what follows an average step.
+
     Where the agent is conditioned on its hunger, every transition is relabelled with a hunger of
     its own: reward weighs `hunger`, curiosity `1 - hunger`, each in units of the standard
     deviation of its value where reward's is the larger. One agent is then every agent from purely
@@ -70,13 +74,16 @@ class CuriousSAC(nn.Module):
         ValueError: If a number is out of range.
 
     Reference: Still & Precup (2012), equations (10), (14), (21); Haarnoja et al., "Soft
-    Actor-Critic Algorithms and Applications" (2018), https://arxiv.org/abs/1812.05905.
+    Actor-Critic Algorithms and Applications" (2018), https://arxiv.org/abs/1812.05905; Abounadi,
+    Bertsekas & Borkar, "Learning algorithms for Markov decision processes with average cost"
+    (2001).
     """
 
     _hunger: Tensor
     _fixed_coefficient: Tensor
     discounts: Tensor
     value_stds: Tensor
+    curiosity_mean: Tensor
     optimizers: Mapping[str, Adam]
 
     def __init__(
@@ -111,9 +118,10 @@ class CuriousSAC(nn.Module):
         """Steps that the sequences of a batch should have: what is summed, and what follows."""
         discounts = [config.reward.discount, config.curiosity.discount]
         discounts = discounts if self.has_curiosity_critic else discounts[:1]
-        self._make_networks(pairs=len(discounts))
+        self._make_networks()
         soft_backup, rate = config.reward.soft_backup, config.target_information_rate
-        by_default = self.prior.soft_backup and not curiosity
+        is_about_reward = not curiosity or self.has_greedy_policy  # what Q's policy maximises
+        by_default = self.prior.soft_backup and is_about_reward
         self.soft_backup = by_default if soft_backup is None else soft_backup
         default_rate = self.prior.default_rate * action_dim
         self.target_information_rate = default_rate if rate is None else rate
@@ -125,7 +133,7 @@ class CuriousSAC(nn.Module):
             }
         )
 
-    def _make_networks(self, pairs: int) -> None:
+    def _make_networks(self) -> None:
         """Make policies, critics, the slow copy of these, and the action prior."""
         config, input_dim = self.config, self.observation_dim + int(self.is_conditioned)
         hidden_dims = (config.hidden_dim, config.hidden_dim)
@@ -139,7 +147,7 @@ class CuriousSAC(nn.Module):
         self.critics = Critics(
             input_dim,
             self.action_dim,
-            pairs=pairs,
+            others=int(self.has_curiosity_critic),
             hidden_dims=hidden_dims,
             layer_norm=config.critic_layer_norm,
         )
@@ -155,8 +163,9 @@ class CuriousSAC(nn.Module):
         self.log_temperature = nn.Parameter(prices, requires_grad=self.tunes_temperature)
         self.register_buffer("_hunger", torch.tensor(_first_hunger(config)))
         self.register_buffer("_fixed_coefficient", torch.tensor(fixed))
-        self.register_buffer("discounts", torch.tensor(discounts).unsqueeze(-1))  # pairs 1
+        self.register_buffer("discounts", torch.tensor(discounts).unsqueeze(-1))  # values 1
         self.register_buffer("value_stds", torch.zeros(1 + self.curiosity))  # over replay
+        self.register_buffer("curiosity_mean", torch.zeros(()))  # of Q_D over replay
         first = config.temperature
         self.temperature = first(0.0) if isinstance(first, Schedule) else first
 
@@ -280,9 +289,10 @@ class CuriousSAC(nn.Module):
             batch: From replay, the reward as the environment gave it. Every field but `truncated`
                 is read. Values look one step ahead in transitions, several in sequences: as many
                 as are set in `replay.sample_sequences(batch_size, agent.sequence_length)`.
-            bonus: Computed afresh for the `curious_steps` of the batch, so that nothing in replay is ever
-                stale; or the function itself, of observation, action and next observation, which
-                must be given where `curiosity_discount` is 0.
+            bonus: `(num_steps * batch,)`, of the first `curiosity_steps` of every sequence, NaN
+                behind the first one where it is not known, which ends what is summed; or the
+                function itself, of observation, action and next observation, which must be given
+                where `curiosity_discount` is 0.
 
         Returns:
             What to log: detached 0-d tensors, information in nats.
@@ -354,50 +364,55 @@ class CuriousSAC(nn.Module):
         self,
         policy_input: Float[Tensor, "batch policy_input_dim"],
         action: Float[Tensor, "batch action_dim"],
-        target: Float[Tensor, "pairs batch"],
+        target: Float[Tensor, "values batch"],
     ) -> dict[str, Tensor]:
         """Step the critics towards the targets."""
-        value = self.critics(policy_input, action)  # pairs 2 batch
-        loss = critic_loss(value, target.unsqueeze(1))
+        value = self.critics(policy_input, action)  # critics batch
+        loss = critic_loss(value, for_each_critic(target))
         self.optimizers["critics"].step(loss)
         value = value.detach()
-        stds = value.mean(1).std(-1, correction=0)
+        value = torch.cat([value[:2].mean(0, keepdim=True), value[2:]])
+        stds, means = value.std(-1, correction=0), value.mean(-1)
         self.value_stds[: len(stds)].lerp_(stds, 1 - STD_DECAY)
+        self.curiosity_mean.lerp_(means[1:].sum(), 1 - STD_DECAY)
         return {
             "critic_loss": loss.detach(),
-            "value": value[0].mean(),
-            "curiosity_value": value[1:].sum(0).mean(),
+            "value": means[0],
+            "curiosity_value": means[1:].sum(),
         }
 
     @torch.no_grad()
     def _targets(
         self, sequences: Sequences, bonus: Tensor | BonusFunction | None, hunger: Hunger
-    ) -> Float[Tensor, "pairs batch"]:
+    ) -> Float[Tensor, "values batch"]:
         """Targets of the reward's value and, where it is learned, of the curiosity value.
 
         Each sums as many steps as are its own, or as the sequences hold where that is less.
         """
+        rewards = self._rewards(sequences, bonus)
+        parts = [sequences, *map(sequences.known, rewards[1:])]
         ends, reached = [], []
-        for pair, num_steps in enumerate(self.num_steps):
-            last = sequences.last(num_steps)
+        for number, (part, num_steps) in enumerate(zip(parts, self.num_steps, strict=True)):
+            last = part.last(num_steps)
             ends.append(last.terminated)
             reached.append(last.next_observation)
-            if pair and self.looks_past_the_end:  # to the next start, which a regression fits
-                restart = sequences.continuation(num_steps)
+            if number and self.looks_past_the_end:  # to the next start, which a regression fits
+                restart = part.continuation(num_steps)
                 reached[-1] = torch.where(ends[-1].unsqueeze(-1), restart, reached[-1])
                 ends[-1] = torch.zeros_like(ends[-1])
-        is_shared = len(set(self.num_steps)) == 1 and not self.looks_past_the_end
+        is_shared = len(reached) == 1 or len(sequences.alive) == 1  # one state for all
         next_value = self._next_values(reached[0] if is_shared else torch.stack(reached), hunger)
+        next_value[1:] -= self.curiosity_mean
         targets = []
-        for pair, reward in enumerate(self._rewards(sequences, bonus)):
-            steps = slice(self.num_steps[pair])
+        for number, (part, reward) in enumerate(zip(parts, rewards, strict=True)):
+            steps = slice(self.num_steps[number])
             targets.append(
                 n_step_target(
                     reward.unflatten(0, (-1, sequences.alive.shape[1]))[steps],
-                    sequences.alive[steps],
-                    ends[pair],
-                    next_value[pair],
-                    self.discounts[pair],
+                    part.alive[steps],
+                    ends[number],
+                    next_value[number],
+                    self.discounts[number],
                 )
             )
         return torch.stack(targets)
@@ -416,9 +431,9 @@ class CuriousSAC(nn.Module):
     def _next_values(
         self,
         observation: Float[Tensor, "batch observation_dim"]
-        | Float[Tensor, "pairs batch observation_dim"],
+        | Float[Tensor, "values batch observation_dim"],
         hunger: Hunger,
-    ) -> Float[Tensor, "pairs batch"]:
+    ) -> Float[Tensor, "values batch"]:
         """Values of the states that are reached, each under its own policy of now.
 
         Args:
@@ -435,9 +450,7 @@ class CuriousSAC(nn.Module):
         batch_size = policy_input.shape[-2]
         if len(action) > batch_size:
             action = action.unflatten(0, (-1, batch_size))[: len(self.discounts)]
-        mean = self.config.curiosity.estimate == "mean"
-        estimate = self.target_critics.pessimistic if mean else self.target_critics.lower
-        value = estimate(policy_input, action)
+        value = self.target_critics.lower(policy_input, action)
         if self.soft_backup:
             information_cost = policy.log_prob(pre_action) - self.prior.log_prob(pre_action)
             if self.has_greedy_policy:  # which alone is charged, at a price of its own
@@ -500,14 +513,14 @@ class CuriousSAC(nn.Module):
         shape = action.shape[:-1]
         policy_input = policy_input.repeat(shape[0] * shape[1], 1)
         alternate = self.config.actor_q == "alternate"
-        value = self.critics.of_one(0, policy_input, action.flatten(0, 2), alternate=alternate)
+        value = self.critics.of_reward(policy_input, action.flatten(0, 2), alternate=alternate)
         value = value.unflatten(0, shape)
         if bonus is None:
             return value, 0.0
         curious = action[:, -1].flatten(0, 1)
         policy_input = policy_input[: len(curious)]
         if self.has_curiosity_critic:
-            curiosity_value = self.critics.of_one(1, policy_input, curious, alternate=alternate)
+            curiosity_value = self.critics.of_others(policy_input, curious)[0]
         else:
             assert not isinstance(bonus, Tensor)
             curiosity_value = bonus(policy_input[:, : self.observation_dim], curious)

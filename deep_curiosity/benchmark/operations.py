@@ -65,16 +65,19 @@ def _count_agent(config: Config, observation_dim: int, action_dim: int) -> int:
     agent, batch = config.agent, config.run.batch_size
     policy = _policy_widths(config, observation_dim, action_dim)
     critic = [observation_dim + action_dim, *_hidden_dims(config), 1]
-    num_critics = 2 if config.bonus.kind == "none" else 4
+    has_curiosity_critic = config.bonus.kind != "none" and agent.curiosity.discount > 0
+    num_critics = 2 + has_curiosity_critic
     policies = _num_policies(config)
 
     target = policies * count_forward(batch, policy) + num_critics * count_forward(batch, critic)
     evaluation = num_critics * count_training(batch, critic)
     actor_rows = math.ceil(batch / agent.actor_stride)
     shared = 2 if agent.actor_q == "alternate" else 1
-    actions = policies * agent.mixture_components * actor_rows
-    critic_rows = math.ceil(actions / shared)  # of each critic
-    action_gradient = num_critics * count_input_gradient(critic_rows, critic, action_dim)
+    actions = agent.mixture_components * actor_rows  # of each policy
+    reward_rows = math.ceil(policies * actions / shared)  # of each of its critics
+    action_gradient = 2 * count_input_gradient(reward_rows, critic, action_dim)
+    if has_curiosity_critic:
+        action_gradient += count_input_gradient(actions, critic, action_dim)
     return target + evaluation + policies * count_training(actor_rows, policy) + action_gradient
 
 
@@ -88,8 +91,6 @@ def _count_curiosity(
     model = [observation_dim + action_dim, *_hidden_dims(config), outputs]
     round_robin_rows = math.ceil(batch / num_members)  # of each member, where a row has one
     rows = round_robin_rows if dynamics.members == "round_robin" else batch
-    num_steps = config.agent.curiosity.steps
-
     prediction = num_members * count_forward(rows, model)
     components = bonus.marginal.components
     densities = num_members * count_forward(rows * mixture, [2 * observation_dim, components])
@@ -97,10 +98,9 @@ def _count_curiosity(
     policy = _policy_widths(config, observation_dim, action_dim)
     actions = _num_policies(config) * count_forward(batch, policy)
     refresh = actions + next_states + prediction + densities
-    # of one step, a graph has the predictions from the pass by which the models learn
-    is_shared = compiles(config) and num_steps == 1
+    is_shared = compiles(config)  # a graph has the predictions from the pass that teaches models
     return {
-        "bonus": num_steps * (densities if is_shared else prediction + densities),
+        "bonus": densities if is_shared else prediction + densities,
         "models": num_members * count_training(rows, model),
         "refresh": refresh,
     }

@@ -153,15 +153,18 @@ class Learner:
 
     def update(self) -> dict[str, Tensor]:
         """One gradient step on the bonus's models and on every part of the agent."""
-        rows, alive = self.replay.sample_rows(
-            self.config.run.batch_size, self.agent.sequence_length
-        )
+        batch_size = self.config.run.batch_size
+        rows, alive, slot = self.replay.sample_rows(batch_size, self.agent.sequence_length)
         if self.bonus is not None:
             if self.bonus.should_skip:
                 self.bonus.skip()
             else:
                 self._observe(self.bonus, rows, alive)
-        return self._learn(rows, alive)
+        later = slot[batch_size : batch_size * self.agent.num_steps[-1]]
+        metrics, bonus = self._learn(rows, alive, self.replay.bonus.index_select(0, later))
+        if bonus is not None:
+            self.replay.bonus.index_copy_(0, slot[:batch_size], bonus)
+        return metrics
 
     def _observe(self, bonus: Bonus, rows: Tensor, alive: Tensor) -> None:
         """Show the bonus the batch, and where the agent has been of late if it asks for that."""
@@ -169,25 +172,37 @@ class Learner:
         visited = self.config.bonus.sample_visited(self.replay, self.config.run.batch_size)
         bonus.observe(transition, self.agent.act, visited)
 
-    def _learn_eagerly(self, rows: Tensor, alive: Tensor) -> dict[str, Tensor]:
-        """The part of an update that can be one graph; returns what to log."""
+    def _learn_eagerly(
+        self, rows: Tensor, alive: Tensor, remembered: Tensor
+    ) -> tuple[dict[str, Tensor], Tensor | None]:
+        """The part of an update that can be one graph.
+
+        Args:
+            rows: Sequences as they lie in replay.
+            alive: Which of them belong to their sequence.
+            remembered: Bonus of the later steps that count, as it last was.
+
+        Returns:
+            What to log, and the bonus of the first step of every sequence.
+        """
         sequences = self.replay.sequences(rows, alive)
+        fresh: Tensor | None = None
         bonus: Tensor | BonusFunction | None = self.bonus
         metrics = {}
         if self.bonus is not None:
             if self.agent.has_curiosity_critic:
                 # before the models learn: in a graph it then needs no pass of its own
-                steps = self.agent.curious_steps(sequences)
-                observation, action, _, next_observation, *_ = steps
+                observation, action, _, next_observation, *_ = sequences.head(1)
                 with torch.no_grad():
-                    bonus = self.bonus(observation, action, next_observation)
+                    fresh = self.bonus(observation, action, next_observation)
+                bonus = torch.cat([fresh, remembered])
             loss = self.bonus.loss(sequences.head(1))
             if self.bonus_optimizer is not None:
                 self.bonus_optimizer.step(loss)
             metrics["curiosity/model_loss"] = loss.detach()
         for name, value in self.agent.update(sequences, bonus).items():
             metrics[f"agent/{name}"] = value
-        return metrics
+        return metrics, fresh
 
     def diagnostics(self) -> dict[str, Tensor]:
         """Metrics of agent and bonus that cost a few milliseconds."""

@@ -69,43 +69,42 @@ def test_a_policy_without_components_is_rejected():
         GaussianPolicy(3, 2, mixture_components=0)
 
 
-@pytest.mark.parametrize("pairs", [1, 2])
-def test_every_value_is_estimated_twice(pairs):
-    critics = Critics(3, 2, pairs=pairs, hidden_dims=(8,))
+@pytest.mark.parametrize("others", [0, 1, 2])
+def test_rewards_value_is_estimated_twice_and_others_once(others):
+    critics = Critics(3, 2, others=others, hidden_dims=(8,))
     value = critics(torch.randn(5, 3), torch.randn(5, 2))
-    assert value.shape == (pairs, 2, 5)
-    flat = value.flatten(0, 1)
-    assert all((flat[i] != flat[j]).all() for i in range(2 * pairs) for j in range(i))
+    assert value.shape == (2 + others, 5)
+    assert all((value[i] != value[j]).all() for i in range(len(value)) for j in range(i))
 
 
-def test_lower_value_is_the_smaller_of_each_pair():
-    critics = Critics(3, 2, pairs=2, hidden_dims=(8,))
+def test_of_rewards_value_the_smaller_estimate_counts():
+    critics = Critics(3, 2, hidden_dims=(8,))
     observation, action = torch.randn(50, 3), torch.randn(50, 2)
     value = critics(observation, action)
-    expected = torch.stack([torch.minimum(*value[0]), torch.minimum(*value[1])])
+    expected = torch.stack([torch.minimum(value[0], value[1]), value[2]])
     assert critics.lower(observation, action).equal(expected)
-    assert 0 < (expected == value[:, 0]).float().mean() < 1  # neither estimate always wins
+    assert 0 < (expected[0] == value[0]).float().mean() < 1  # neither estimate always wins
 
 
-@pytest.mark.parametrize("pair", [0, 1])
 @pytest.mark.parametrize("rows", [1, 6, 7])
-def test_one_value_alone_is_asked_of_its_own_critics(rows, pair):
-    critics = Critics(3, 2, pairs=2, hidden_dims=(8,))
+def test_values_alone_are_asked_of_their_own_critics(rows):
+    critics = Critics(3, 2, hidden_dims=(8,))
     observation, action = torch.randn(rows, 3), torch.randn(rows, 2)
-    both = critics(observation, action)[pair]  # 2 rows
-    torch.testing.assert_close(critics.of_one(pair, observation, action), both.amin(0))
+    both, other = critics(observation, action).split([2, 1])
+    torch.testing.assert_close(critics.of_others(observation, action), other)
+    torch.testing.assert_close(critics.of_reward(observation, action), both.amin(0))
     expected = torch.stack([both[row % 2, row] for row in range(rows)])
-    found = critics.of_one(pair, observation, action, alternate=True)
+    found = critics.of_reward(observation, action, alternate=True)
     torch.testing.assert_close(found, expected)
 
 
 def test_each_value_may_be_asked_at_a_state_and_action_of_its_own():
-    critics = Critics(3, 2, pairs=2, hidden_dims=(8,))
+    critics = Critics(3, 2, hidden_dims=(8,))
     observation, action = torch.randn(2, 5, 3), torch.randn(2, 5, 2)
-    together = critics(observation, action)
-    for pair in range(2):
-        alone = critics(observation[pair], action[pair])[pair]
-        torch.testing.assert_close(together[pair], alone)
+    together = critics.lower(observation, action)
+    for number in range(2):
+        alone = critics.lower(observation[number], action[number])[number]
+        torch.testing.assert_close(together[number], alone)
 
 
 def test_values_depend_on_observation_and_action():

@@ -15,7 +15,7 @@ from deep_curiosity.gaussians import DiagonalMixture
 from deep_curiosity.transitions import Sequences, Transition, as_sequences
 
 TEMPERATURE, DISCOUNT = 0.3, 0.9
-PAIRS = slice(0, 2), slice(2, 4)  # members of the extrinsic and of the curious pair of critics
+PAIRS = slice(0, 2), slice(2, 3)  # of the critics, reward and curiosity
 
 
 class PushingBonus(Bonus):
@@ -89,12 +89,12 @@ def copies(parameters):
 
 
 def let_answer(critics, *values):
-    """Make each pair of critics answer a constant."""
+    """Make the critics of each value answer a constant."""
     for parameter in critics.parameters():
         parameter.data.zero_()
     last = critics.network.layers[-1].bias.data
-    for pair, value in enumerate(values):
-        last[2 * pair : 2 * pair + 2] = value
+    last[:2] = values[0]
+    last[2:] = torch.tensor(values[1:]).reshape(-1, 1, 1)
 
 
 @pytest.fixture
@@ -133,10 +133,10 @@ def soft_actor_critic_critic_loss(agent, batch, noise):
     """Haarnoja et al. (2018), equations (5) and (6), with two critics."""
     with torch.no_grad():
         action, log_prob = soft_actor_critic_policy(agent, batch.next_observation, noise)
-        first, second = agent.target_critics(batch.next_observation, action)[0]
+        first, second = agent.target_critics(batch.next_observation, action)[:2]
         soft_value = torch.min(first, second) - TEMPERATURE * log_prob
         target = batch.reward + DISCOUNT * (1 - batch.terminated.double()) * soft_value
-    first, second = agent.critics(batch.observation, batch.action)[0]
+    first, second = agent.critics(batch.observation, batch.action)[:2]
     half = torch.nn.functional.mse_loss
     return 0.5 * half(first, target) + 0.5 * half(second, target)
 
@@ -144,7 +144,7 @@ def soft_actor_critic_critic_loss(agent, batch, noise):
 def soft_actor_critic_policy_loss(agent, critics, batch, noise, estimate=torch.min):
     """The same, equation (7)."""
     action, log_prob = soft_actor_critic_policy(agent, batch.observation, noise)
-    first, second = critics(batch.observation, action)[0]
+    first, second = critics(batch.observation, action)[:2]
     return (TEMPERATURE * log_prob - estimate(first, second)).mean(), log_prob
 
 
@@ -264,7 +264,7 @@ def test_curiosity_is_discounted_by_its_own_discount():
         reward=torch.ones(1), terminated=torch.tensor([False]), truncated=torch.tensor([True])
     )
     loss = agent.update(batch, ConstantBonus(0.25))["critic_loss"]
-    assert loss.item() == pytest.approx((1 + 0.9 * 10) ** 2 + (0.25 + 0.5 * 4) ** 2)
+    assert loss.item() == pytest.approx((1 + 0.9 * 10) ** 2 + 0.5 * (0.25 + 0.5 * 4) ** 2)
 
 
 def test_soft_backup_charges_the_extrinsic_value_only():
@@ -421,14 +421,6 @@ def test_without_a_discount_the_bonus_itself_yields():
     assert agent.curiosity_coefficient == pytest.approx(0.25)
 
 
-def test_the_mean_of_both_estimates_is_that_of_curiosity_alone():
-    agent, observation = small_agent(), torch.randn(5, 3)
-    action = torch.rand(5, 2)
-    value = agent.critics(observation, action)
-    mixed = agent.critics.pessimistic(observation, action)
-    torch.testing.assert_close(mixed, torch.stack([value[0].amin(0), value[1].mean(0)]))
-
-
 def test_normalised_layers_bound_what_critics_extrapolate():
     agent = small_agent(critic_layer_norm=True)
     near, far = (scale * torch.ones(1, 3) for scale in (1e3, 1e6))
@@ -459,8 +451,20 @@ def test_standard_deviations_follow_the_values_over_the_batch():
     agent, batch = small_agent(curiosity_coefficient="adaptive"), random_transition()
     value = agent.critics(batch.observation, batch.action).detach()
     agent.update(batch, ConstantBonus(1.0))
-    expected = 0.01 * value.mean(1).std(-1, correction=0)
-    torch.testing.assert_close(agent.value_stds, expected)
+    value = torch.stack([value[:2].mean(0), value[2]])
+    torch.testing.assert_close(agent.value_stds, 0.01 * value.std(-1, correction=0))
+    torch.testing.assert_close(agent.curiosity_mean, 0.01 * value[1].mean())
+
+
+def test_the_curiosity_value_is_relative_to_its_mean_and_an_end_is_worth_as_much():
+    """Relative value iteration: a constant bonus above zero does not pile up."""
+    agent = small_agent(hidden_dim=32, learning_rate=3e-3, polyak=0.05, prior="learned")
+    batch = random_transition(64)
+    for _ in range(600):
+        metrics = agent.update(batch, ConstantBonus(1.0))
+    value = agent.critics(batch.observation, batch.action)[2]
+    assert metrics["curiosity_value"].item() == pytest.approx(1.0, abs=0.1)
+    assert value[batch.terminated].mean().item() == pytest.approx(1.0, abs=0.2)
 
 
 def test_with_zero_discount_the_actor_maximises_the_bonus_itself(noise):
@@ -475,10 +479,10 @@ def test_with_zero_discount_the_actor_maximises_the_bonus_itself(noise):
     assert metrics["policy_loss"].item() == pytest.approx(expected.item(), abs=1e-6)
 
 
-def test_with_zero_discount_there_is_one_pair_of_critics():
-    assert small_agent(curiosity_discount=0.0).critics.pairs == 1
-    assert small_agent(curiosity_discount=0.5).critics.pairs == 2
-    assert plain_agent().critics.pairs == 1
+def test_with_zero_discount_there_are_critics_of_reward_alone():
+    assert small_agent(curiosity_discount=0.0).critics.network.members == 2
+    assert small_agent(curiosity_discount=0.5).critics.network.members == 3
+    assert plain_agent().critics.network.members == 2
 
 
 def test_hunger_and_temperature_read_back_what_was_set():
@@ -941,6 +945,13 @@ def random_sequences(num_steps, batch=32):
     return Sequences(steps, alive.cumprod(0).bool())
 
 
+def test_by_default_reward_is_charged_where_its_policy_maximises_nothing_else():
+    assert plain_agent().soft_backup
+    assert small_agent(greedy_share=0.25).soft_backup
+    assert not small_agent().soft_backup  # the curious policy's cost is curiosity's too
+    assert not small_agent(greedy_share=0.25, prior="learned").soft_backup
+
+
 def test_sequences_of_one_step_teach_what_transitions_teach():
     agent, other = small_agent(), small_agent()
     other.load_state_dict(agent.state_dict())
@@ -1000,6 +1011,21 @@ def test_each_value_sums_as_many_steps_as_are_its_own(episodic):
             assert found[row].item() == pytest.approx(expected, rel=1e-4)
 
 
+def test_a_bonus_that_is_not_known_ends_the_sum_of_curiosity_alone():
+    agent = small_agent(reward_steps=3, curiosity_steps=3, prior="learned")
+    sequences = random_sequences(3)
+    sequences = sequences._replace(alive=torch.ones(3, 32).bool())
+    bonus = torch.rand(96)
+    unknown = bonus.clone()
+    unknown[32:] = math.nan
+    let_answer(agent.target_critics, 5.0, 7.0)
+    one = small_agent(reward_steps=3, curiosity_steps=1, prior="learned")
+    let_answer(one.target_critics, 5.0, 7.0)
+    cut = agent._targets(sequences, unknown, torch.ones(()))
+    torch.testing.assert_close(cut, one._targets(sequences, bonus, torch.ones(())))
+    assert not cut[1].equal(agent._targets(sequences, bonus, torch.ones(()))[1])
+
+
 def test_each_value_is_asked_where_its_own_steps_lead():
     """By one pass of the policies and critics, whatever the numbers of steps."""
     for options in ({"greedy_share": 0.25}, {}, {"soft_backup": True}):
@@ -1018,7 +1044,7 @@ def test_the_next_value_of_each_state_is_that_of_its_own_policy():
     """As if every value had been asked alone at all of these states."""
     observation = torch.randn(2, 16, 3)
     for options in ({"greedy_share": 0.25}, {"greedy_share": 0.0}):
-        agent = small_agent(**options)
+        agent = small_agent(soft_backup=False, **options)
         with torch.no_grad():  # next to deterministic
             bias = agent.policy.network.layers[-1].bias
             bias[..., agent.action_dim :] = -100.0

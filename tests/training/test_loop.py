@@ -334,7 +334,6 @@ def unchanged(tiny_config, tmp_path_factory):
         {"marginal_half_life": 0.5},
         {"marginal_half_life": None},
         {"critic_layer_norm": True},
-        {"curiosity_estimate": "min"},
         {"features": (0, -1)},
         {"bonus_parts": {"predictive_power": 1.0}},
         {"bonus_parts": {"information_gain": 1.0}},

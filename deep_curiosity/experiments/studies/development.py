@@ -40,8 +40,7 @@ AGENTS: Agents = {
     "moments": {"whitening": "moments"},
     "256 components": {"components": 256},
     "nothing forgotten": {"marginal_half_life": None},
-    "smaller estimate": {"curiosity_estimate": "min"},
-    "soft backup": {"soft_backup": True},
+    "hard backup": {"soft_backup": False},
     "layer norm": {"critic_layer_norm": True},
     "learned prior": {"prior": "learned"},
 }
