@@ -143,8 +143,8 @@ class AgentConfig(Group):
     mixture_components: int = setting(1, name="policy_mixture_components")
     """Gaussians that make up the policy; an optimum with two peaks needs two."""
     actor_q: Literal["alternate", "min"] = "alternate"
-    """What the policy maximises at each transition: one critic of each pair, in round-robin order,
-    or the smaller of both. Critics learn from the smaller either way."""
+    """What the policy maximises at each transition: one of reward's two critics, in round-robin
+    order, or the smaller of both. Critics learn from the smaller either way."""
     actor_batch_fraction: float = setting(0.5, above=0, at_most=1)
     """Share of a batch from which policy, prior and temperature learn, one over a whole number;
     critics and models learn from all of it."""
