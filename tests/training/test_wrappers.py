@@ -63,7 +63,9 @@ def test_a_step_of_another_length_is_named(returned, got):
 
 
 def test_a_reset_without_an_info_is_named():
-    with pytest.raises(ValueError, match=r"`reset` .* must return \(observation, info\).* ndarray"):
+    with pytest.raises(
+        ValueError, match=r"`reset` .* must return \(observation, info\).* ndarray"
+    ):
         PlainSteps(Says(start=np.zeros(1))).reset()
     with pytest.raises(ValueError, match=r"`info` must be a dictionary, got \[\]"):
         PlainSteps(Says(start=(np.zeros(1), []))).reset()
@@ -104,7 +106,11 @@ def test_an_episode_ends_at_success_if_that_is_wanted():
 def test_an_observation_is_a_new_vector_of_real_numbers():
     mine = np.array([3, 255], np.uint8)
     env = VectorObservation(
-        Says((mine, 0.0, False, False, {}), start=(mine, {}), space=spaces.Box(0, 255, (2,), np.uint8))
+        Says(
+            (mine, 0.0, False, False, {}),
+            start=(mine, {}),
+            space=spaces.Box(0, 255, (2,), np.uint8),
+        )
     )
     first, second = env.reset()[0], env.step(ACTION)[0]
     mine[:] = 0
