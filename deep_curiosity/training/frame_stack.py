@@ -13,6 +13,8 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 
+from deep_curiosity.training.wrappers import real_dtype
+
 
 class FrameStack(gymnasium.Wrapper):
     """Shows a window in the place of the observation.
@@ -106,13 +108,15 @@ def window_space(
             (observation_space.high, action_space.high),
         )
     )
-    return spaces.Box(low, high, dtype=observation_space.dtype.type)
+    dtype = real_dtype(observation_space.dtype)  # whole numbers have no room for an action
+    return spaces.Box(low.astype(dtype), high.astype(dtype), dtype=dtype)
 
 
 def first_window(
     observation: np.ndarray, action_space: spaces.Space, num_frames: int
 ) -> np.ndarray:
     """Windows at the start of episodes, `(*batch, window_dim)`."""
+    observation = observation.astype(real_dtype(observation.dtype))
     idle = np.zeros((*observation.shape[:-1], *(action_space.shape or ())), observation.dtype)
     past = np.concatenate((observation, idle), axis=-1)
     return np.concatenate((np.tile(past, num_frames - 1), observation), axis=-1)
@@ -124,5 +128,5 @@ def next_window(
     """Windows one step later, with the action as the space clips it, `(*batch, window_dim)`."""
     assert isinstance(action_space, spaces.Box)
     taken = np.clip(action, action_space.low, action_space.high).astype(window.dtype)
-    longer = np.concatenate((window, taken, observation), axis=-1)
+    longer = np.concatenate((window, taken, observation), axis=-1, dtype=window.dtype)
     return longer[..., -window.shape[-1] :]
