@@ -443,7 +443,7 @@ def test_a_step_that_was_none_keeps_the_places_of_several_environments():
         replay.extend(*unended(first, 2), np.array([True, first != 6]))
     assert numbers(replay.all()) == [4, 5, 6, 5, 8, 9]
     assert replay.all().truncated.tolist() == [False, True, False, True, False, False]
-    rows, alive = replay.sample_rows(200, 3)
+    rows, alive, _ = replay.sample_rows(200, 3)
     followed = {
         tuple(row[lives, 0].tolist())
         for row, lives in zip(rows.unflatten(0, (3, 200)).unbind(1), alive.unbind(1), strict=True)
