@@ -14,6 +14,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from deep_curiosity.training import continue_run, loop, train
 from deep_curiosity.training.checkpoint import NEWEST, load_checkpoint
 from deep_curiosity.training.collector import Collector
+from deep_curiosity.training.failure import EnvironmentFailedError
 from deep_curiosity.training.learner import Learner
 
 SUMMARY_KEYS = {
@@ -63,6 +64,15 @@ def assert_same_state(first, second):
             ), key
         else:
             np.testing.assert_equal(leaf, second[key], err_msg=key)
+
+
+def assert_same_run(first, second):
+    """Everything but times is equal."""
+    one, other = load_checkpoint(first), load_checkpoint(second)
+    for state in (one, other):
+        del state["progress"]
+    assert_same_state(one, other)
+    assert rows(first) == rows(second)
 
 
 def rows(folder):
@@ -241,7 +251,7 @@ def test_a_folder_that_holds_a_run_is_left_alone(tiny):
 
 def test_a_run_that_fails_at_once_can_be_continued(tiny, monkeypatch):
     monkeypatch.setattr(Collector, "step", lambda self, action: 1 / 0)
-    with pytest.raises(ZeroDivisionError):
+    with pytest.raises(EnvironmentFailedError, match=r"ZeroDivisionError: .*--resume"):
         train(tiny, show_progress=False)
     monkeypatch.undo()
     assert train(tiny, resume=True, show_progress=False)["total_steps"] == 60
@@ -268,7 +278,9 @@ def test_a_truncated_checkpoint_is_reported_and_the_one_before_it_used(tiny):
     assert summary["total_steps"] == 70
 
 
-def test_an_environment_that_raises_leaves_checkpoint_and_records(tiny, monkeypatch):
+def test_an_environment_that_raises_leaves_all_before_the_step(tiny, monkeypatch, tmp_path):
+    whole = tiny.override(out=tmp_path / "whole")
+    train(whole, show_progress=False)
     step = Collector.step
 
     def failing(self, action):
@@ -277,12 +289,19 @@ def test_an_environment_that_raises_leaves_checkpoint_and_records(tiny, monkeypa
         return step(self, action)
 
     monkeypatch.setattr(Collector, "step", failing)
-    with pytest.raises(RuntimeError, match="the simulator broke"):
+    with pytest.raises(EnvironmentFailedError) as raised:
         train(tiny, show_progress=False)
+    told = str(raised.value)
+    assert "RuntimeError: the simulator broke, from PendulumSwingup, in training" in told
+    assert (
+        f"after step 55; all up to step 55 is saved; continue with --resume {tiny.run.out}" in told
+    )
+    assert str(raised.value.__cause__) == "the simulator broke"
     monkeypatch.undo()
-    assert load_checkpoint(tiny.run.out)["run_log"]["step"] == 50
+    assert load_checkpoint(tiny.run.out)["run_log"]["step"] == 55
     assert [int(row["step"]) for row in rows(tiny.run.out)] == [40]
-    assert train(tiny, resume=True, show_progress=False)["total_steps"] == 60
+    train(tiny, resume=True, show_progress=False)
+    assert_same_run(whole.run.out, tiny.run.out)
 
 
 def test_a_nan_from_the_environment_stops_the_run_by_name(tiny, monkeypatch):
@@ -293,7 +312,7 @@ def test_a_nan_from_the_environment_stops_the_run_by_name(tiny, monkeypatch):
         return taken._replace(reward=np.array([np.nan])), finished
 
     monkeypatch.setattr(Collector, "step", broken)
-    with pytest.raises(ValueError, match="`reward` must be finite, got \\[nan\\]"):
+    with pytest.raises(EnvironmentFailedError, match="`reward` must be finite, got \\[nan\\]"):
         train(tiny, show_progress=False)
 
 
