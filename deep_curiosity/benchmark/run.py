@@ -24,6 +24,7 @@ median and `[lowest, highest]` over rounds, in each of which everything that is 
 turn; ratios are taken within a round. The CSV files beside it have every round.
 """
 MACHINES = "machine.csv"
+PAGE = "README.md"
 
 
 def run_benchmark(benchmark: Benchmark, command: str) -> None:
@@ -32,8 +33,12 @@ def run_benchmark(benchmark: Benchmark, command: str) -> None:
     Args:
         benchmark: What to measure, how often, and where to.
         command: The command line that asked for it, which the page repeats.
+
+    Raises:
+        FileExistsError: If a file in the folder is none that a benchmark has written.
     """
     out = benchmark.out
+    check_out(out)
     out.mkdir(parents=True, exist_ok=True)
     with fitted_machine(AGENTS["curious"].speed):
         for name, section in SECTIONS.items():
@@ -50,7 +55,26 @@ def run_benchmark(benchmark: Benchmark, command: str) -> None:
             note_machine(out / MACHINES, name, command)
             print(f"{name}: measured", flush=True)
     write_page(out)
-    print(f"See {out / 'README.md'}")
+    print(f"See {out / PAGE}")
+
+
+def check_out(out: Path) -> None:
+    """Refuse a folder with a page or tables that are none of a benchmark's.
+
+    Raises:
+        FileExistsError: Naming the page.
+        NotADirectoryError: If a file is in the place of the folder.
+    """
+    if out.exists() and not out.is_dir():
+        raise NotADirectoryError(f"`out` must name a folder, got {out}, which is a file.")
+    page = out / PAGE
+    title = INTRODUCTION.splitlines()[0]
+    own = not page.exists() or page.read_text(errors="replace").splitlines()[:1] == [title]
+    if not own or (not page.exists() and any(out.glob("*.csv"))):
+        raise FileExistsError(
+            f"`out` must name a folder without a page or tables of other things, got {out}; "
+            "choose another."
+        )
 
 
 def plot_section(out: Path, name: str) -> None:
@@ -66,7 +90,7 @@ def write_page(out: Path) -> None:
     for name, section in SECTIONS.items():
         if name in machines:
             text += [section.text(out), _machine_line(machines[name])]
-    (out / "README.md").write_text("\n".join(text))
+    (out / PAGE).write_text("\n".join(text))
 
 
 def note_machine(path: Path, section: str, command: str) -> None:
