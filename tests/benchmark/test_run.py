@@ -16,6 +16,6 @@ def test_files_of_something_else_are_left_alone(tmp_path, name):
     (tmp_path / name).write_text("# Mine\n")
     with pytest.raises(FileExistsError, match="`out` must name a folder without a page"):
         check_out(tmp_path)
-    with pytest.raises(NotADirectoryError, match="got .*, which is a file"):
+    with pytest.raises(NotADirectoryError, match=r"got .*, which is a file"):
         check_out(tmp_path / name)
     assert (tmp_path / name).read_text() == "# Mine\n"
