@@ -33,8 +33,8 @@ class Args:
     """Of an agent that is conditioned on it: one or several to play with, from 0, purely curious,
     to 1, purely greedy."""
     video: Path | None = None
-    """New file for a video of the first episode, at the last hunger, .mp4 or .gif; needs MUJOCO_GL=egl
-    or osmesa on a machine without a screen."""
+    """New file for a video of the first episode, at the last hunger, .mp4 or .gif; needs
+    MUJOCO_GL=egl or osmesa on a machine without a screen."""
 
 
 def main(args: Args) -> None:

@@ -14,7 +14,7 @@ from deep_curiosity.benchmark.sections import (
     LeftOutError,
 )
 from deep_curiosity.benchmark.tables import read_rows
-from deep_curiosity.experiments.tables import write_table
+from deep_curiosity.experiments.tables import check_page, write_table
 from deep_curiosity.speed.machine import fitted_machine
 
 INTRODUCTION = """# Benchmark
@@ -38,7 +38,7 @@ def run_benchmark(benchmark: Benchmark, command: str) -> None:
         FileExistsError: If a file in the folder is none that a benchmark has written.
     """
     out = benchmark.out
-    check_out(out)
+    check_page(out, INTRODUCTION.splitlines()[0])
     out.mkdir(parents=True, exist_ok=True)
     with fitted_machine(AGENTS["curious"].speed):
         for name, section in SECTIONS.items():
@@ -56,25 +56,6 @@ def run_benchmark(benchmark: Benchmark, command: str) -> None:
             print(f"{name}: measured", flush=True)
     write_page(out)
     print(f"See {out / PAGE}")
-
-
-def check_out(out: Path) -> None:
-    """Refuse a folder with a page or tables that are none of a benchmark's.
-
-    Raises:
-        FileExistsError: Naming the page.
-        NotADirectoryError: If a file is in the place of the folder.
-    """
-    if out.exists() and not out.is_dir():
-        raise NotADirectoryError(f"`out` must name a folder, got {out}, which is a file.")
-    page = out / PAGE
-    title = INTRODUCTION.splitlines()[0]
-    own = not page.exists() or page.read_text(errors="replace").splitlines()[:1] == [title]
-    if not own or (not page.exists() and any(out.glob("*.csv"))):
-        raise FileExistsError(
-            f"`out` must name a folder without a page or tables of other things, got {out}; "
-            "choose another."
-        )
 
 
 def plot_section(out: Path, name: str) -> None:

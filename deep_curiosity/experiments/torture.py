@@ -147,7 +147,11 @@ def _chain(
 
 def _begin(config: Config) -> int:
     """Begin or continue a run in a fork; returns its process."""
-    process = os.fork()
+    with warnings.catch_warnings():
+        warnings.simplefilter(
+            "ignore"
+        )  # newer Pythons warn of threads, which the child has none of
+        process = os.fork()
     if process:
         return process
     status = 1
