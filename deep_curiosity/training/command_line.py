@@ -92,7 +92,7 @@ def parse(arguments: Sequence[str] | None = None, *, description: str) -> Comman
         bonus=_known(_peek(given, "--bonus"), BONUS_CONFIGS) or own.bonus,
     )
     read = vars(read_arguments(_command_class(base, show_all), given, description=description))
-    values = {name: _from_text(flat(base)[name], read[name]) for name in flat(base)}
+    values = {name: _from_text(each, read[name]) for name, each in flat(base).items()}
     config = base.override(**values)
     if resume is None:
         check_folder("out", config.run.out)
