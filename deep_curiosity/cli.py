@@ -5,6 +5,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -91,32 +92,44 @@ def _refuse_repeated(arguments: Sequence[str]) -> None:
             raise ValueError(f"`{name}` must be given once, got --{flag} {count} times.")
 
 
+def _read_word(kind: Callable[[str], Any], rule: str, words: list[str]) -> Any:
+    """Read a number or a path.
+
+    Raises:
+        ValueError: Saying what the word should be.
+    """
+    (word,) = words
+    try:
+        if not word or "\0" in word:
+            raise ValueError
+        return kind(word)
+    except ValueError:
+        shown = word if len(word) < 60 else f"{word[:60]}..."
+        raise ValueError(f"it must be {rule}, got {shown!r}") from None
+
+
+def _is_of(kind: type, value: Any) -> bool:
+    return isinstance(value, kind) and not isinstance(value, bool)
+
+
+def _as_word(value: Any) -> list[str]:
+    return [str(value)]
+
+
+SPECS: dict[Any, PrimitiveConstructorSpec[Any]] = {
+    kind: PrimitiveConstructorSpec(
+        nargs=1,
+        metavar=kind.__name__.upper(),
+        instance_from_str=partial(_read_word, kind, rule),
+        is_instance=partial(_is_of, kind),
+        str_from_instance=_as_word,
+    )
+    for kind, rule in ((int, "a whole number"), (float, "a number"), (Path, "a path"))
+}
 REGISTRY = ConstructorRegistry()
 """How words of a command line are read: as `tyro` does, but for what is said of a wrong one."""
 
 
 @REGISTRY.primitive_rule
-def _read_word(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
-    """How a number or a path is read, with a message that says what it should be."""
-    rules = {int: "a whole number", float: "a number", Path: "a path"}
-    kind = info.type
-    if kind not in rules:
-        return None
-
-    def read(words: list[str]) -> Any:
-        (word,) = words
-        try:
-            if not word or "\0" in word:
-                raise ValueError
-            return kind(word)
-        except ValueError:
-            shown = word if len(word) < 60 else f"{word[:60]}..."
-            raise ValueError(f"it must be {rules[kind]}, got {shown!r}") from None
-
-    return PrimitiveConstructorSpec(
-        nargs=1,
-        metavar=kind.__name__.upper(),
-        instance_from_str=read,
-        is_instance=lambda value: isinstance(value, kind) and not isinstance(value, bool),
-        str_from_instance=lambda value: [str(value)],
-    )
+def _spec_of(info: PrimitiveTypeInfo) -> PrimitiveConstructorSpec[Any] | None:
+    return SPECS.get(info.type) if info.type in (int, float, Path) else None
