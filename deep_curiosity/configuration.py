@@ -223,7 +223,7 @@ def _as_float(value: int) -> float:
     try:
         return float(value)
     except OverflowError:
-        return math.copysign(math.inf, value)  # which no range takes
+        return math.inf if value > 0 else -math.inf  # which no range takes
 
 
 def _as(option: Any, value: Any) -> Any:

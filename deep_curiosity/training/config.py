@@ -135,20 +135,20 @@ class Config(Group):
         _refuse_idle_settings(self)
 
     @classmethod
-    def of(cls, preset: str | None = None, /, **values: Any) -> "Config":
+    def of(cls, preset_name: str | None = None, /, **values: Any) -> "Config":
         """The default configuration with some settings changed, by their flat names.
 
         Args:
-            preset: How networks sample a batch, a key of `PRESETS`; `None` leaves that as it is.
+            preset_name: How networks sample a batch, a key of `PRESETS`; `None` leaves that as it is.
             **values: Settings; `bonus` may be a name.
 
         Raises:
             TypeError: If there is no such setting, or a value has the wrong type.
             ValueError: If a value is out of range.
         """
-        return cls().override(preset, **values)
+        return cls().override(preset_name, **values)
 
-    def override(self, preset: str | None = None, /, **values: Any) -> "Config":
+    def override(self, preset_name: str | None = None, /, **values: Any) -> "Config":
         """The same configuration with some settings changed, as in `of`."""
         kind = values.pop("bonus", self.bonus)
         bonus = self.bonus if kind == self.bonus else _switched(self.bonus, kind)
@@ -157,7 +157,7 @@ class Config(Group):
         for name in values:
             if name not in known:
                 raise unknown_setting(name, known)
-        chosen = ({} if preset is None else _preset(preset)) | values
+        chosen = ({} if preset_name is None else _preset(preset_name)) | values
         changed: dict[str, Any] = {
             field: override(
                 group, **{name: chosen[name] for name in flat(group) if name in chosen}
@@ -205,7 +205,7 @@ def _preset(name: str) -> dict[str, Any]:
     return PRESETS[name]
 
 
-def _switched(bonus: BonusConfig, kind: str | BonusConfig) -> BonusConfig:
+def _switched(bonus: BonusConfig, kind: Any) -> BonusConfig:
     """Another bonus, with the settings that both have as they were."""
     if isinstance(kind, BonusConfig):
         return kind

@@ -149,7 +149,7 @@ def test_a_part_of_a_study_is_named_by_tasks_and_agents(small_study):
     assert [task.name for task in part.tasks] == ["other"]
     assert list(part.agents) == ["none"]
     assert part_of(small_study, [], []) == small_study
-    with pytest.raises(ValueError, match="`agents` must be of the study, .*none, got nobody"):
+    with pytest.raises(ValueError, match=r"`agents` must be of the study, .*none, got nobody"):
         part_of(small_study, [], ["nobody"])
     with pytest.raises(ValueError, match="`tasks` must be named once each, got other, other"):
         part_of(small_study, ["other", "other"], [])

@@ -207,7 +207,7 @@ def test_a_continued_run_takes_what_is_safe_to_change_and_what_it_has(run, argum
 
 
 def test_a_continued_run_is_told_the_default_preset_apart_from_none(run):
-    with pytest.raises(ValueError, match="`refresh_interval` must stay .* 10, got 20"):
+    with pytest.raises(ValueError, match=r"`refresh_interval` must stay .* 10, got 20"):
         read("--resume", run, "--preset", "fast")
 
 
