@@ -139,7 +139,7 @@ class Config(Group):
         """The default configuration with some settings changed, by their flat names.
 
         Args:
-            preset_name: How networks sample a batch, a key of `PRESETS`; `None` leaves that as it is.
+            preset_name: How networks sample a batch, a key of `PRESETS`; `None` changes nothing.
             **values: Settings; `bonus` may be a name.
 
         Raises:

@@ -75,7 +75,7 @@ def test_a_cut_off_run_is_continued(small_study, tmp_path):
 
 def test_settings_of_all_runs_can_be_overridden(small_study, tmp_path):
     study = overridden(small_study, {"total_steps": 24, "hidden_dim": 8})
-    configs = [cell.config for cell in cells_of(study, tmp_path)]
+    configs = [cell.config for cell in cells_of(study, tmp_path / "runs")]
     assert {(c.run.total_steps, c.agent.hidden_dim) for c in configs} == {(24, 8)}
     assert {c.bonus.kind for c in configs} == {"curiosity", "none"}
 
@@ -133,7 +133,17 @@ def test_the_name_of_the_table_may_have_a_point(small_study, tmp_path):
             study = replace(small_study, seeds=1, agents={"none": {"bonus": "none"}})
             out = tmp_path / name
             run_study(study, runs=tmp_path / "runs", out=out, executor=executor)
-    assert {path.name for path in tmp_path.glob("*.csv")} == {"rate-0.25.csv", "rate-0.5.csv"}
+    for name in ("rate-0.25", "rate-0.5"):
+        assert {f"{name}{suffix}" for suffix in (".csv", ".md", ".png")} <= {
+            path.name for path in tmp_path.iterdir()
+        }
+
+
+def test_a_run_whose_settings_cannot_be_read_is_passed_over(small_study, tmp_path):
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "config.json").write_bytes(b"\0\0")
+    with pytest.warns(UserWarning, match=r"other is passed over: `config.json` must hold"):
+        assert len(cells_of(small_study, tmp_path / "runs")) == 4
 
 
 def test_the_first_agent_is_compared_with_each_other(make_rows):
@@ -156,5 +166,5 @@ def test_a_part_of_a_study_is_named_by_tasks_and_agents(small_study):
 
 
 def test_seeds_begin_where_a_study_says(small_study, tmp_path):
-    cells = cells_of(replace(small_study, first_seed=100), tmp_path)
+    cells = cells_of(replace(small_study, first_seed=100), tmp_path / "runs")
     assert sorted({cell.seed for cell in cells}) == [100, 101]
