@@ -6,15 +6,12 @@ Everything runs on one thread. What is compared is measured alternately within o
 import shlex
 import sys
 
-import tyro
-
 from deep_curiosity.benchmark.run import run_benchmark
 from deep_curiosity.benchmark.sections import Benchmark
+from deep_curiosity.cli import answering, read_arguments
 
 if __name__ == "__main__":
-    benchmark = tyro.cli(Benchmark, description=__doc__)
-    command = ["python", "scripts/benchmark.py", *map(shlex.quote, sys.argv[1:])]
-    try:
+    with answering():
+        benchmark = read_arguments(Benchmark, description=__doc__)
+        command = ["python", "scripts/benchmark.py", *map(shlex.quote, sys.argv[1:])]
         run_benchmark(benchmark, " ".join(command))
-    except OSError as error:
-        sys.exit(f"error: {error}")

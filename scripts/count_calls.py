@@ -14,6 +14,7 @@ from deep_curiosity.benchmark.calls import (
     find_hops,
     record_update,
 )
+from deep_curiosity.cli import answering, read_arguments
 
 
 def main() -> None:
@@ -26,4 +27,5 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    with answering():
+        read_arguments(main, description=__doc__)

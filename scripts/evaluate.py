@@ -1,13 +1,14 @@
 """Replay a run: episodes of its deterministic policy, and a video of one if asked for."""
 
 import statistics
-import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import tyro
 
+from deep_curiosity.cli import answering, check_folder, read_arguments
+from deep_curiosity.configuration import MOST_SEED, Group, setting
 from deep_curiosity.training.collector import evaluate
 from deep_curiosity.training.environments import make_environment
 from deep_curiosity.training.log import read_config
@@ -20,21 +21,30 @@ from deep_curiosity.training.playback import (
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(Group):
     """What to replay."""
 
     folder: Annotated[Path, tyro.conf.Positional]
     """Folder of the run."""
-    episodes: int = 10
+    episodes: int = setting(10)
     """Episodes to play."""
-    seed: int = 7
+    seed: int = setting(7, at_least=0, at_most=MOST_SEED)
     """Seed of the resets."""
-    hunger: tuple[float, ...] = ()
+    hunger: tuple[float, ...] = setting((), at_least=0, at_most=1)
     """Of an agent that is conditioned on it: one or several to play with, from 0, purely curious,
     to 1, purely greedy."""
     video: Path | None = None
     """New file for a video of the first episode, at the last hunger, .mp4 or .gif; needs
     MUJOCO_GL=egl or osmesa on a machine without a screen."""
+
+    def __post_init__(self) -> None:
+        """Refuse a file that could not be written, before anything is played."""
+        super().__post_init__()
+        check_folder("folder", self.folder)
+        if self.video is not None:
+            check_folder("video", self.video.parent)
+            if self.video.suffix not in (".mp4", ".gif") or self.video.is_dir():
+                raise ValueError(f"`video` must be a file .mp4 or .gif, got {self.video}.")
 
 
 def main(args: Args) -> None:
@@ -59,7 +69,5 @@ def main(args: Args) -> None:
 
 
 if __name__ == "__main__":
-    try:
-        main(tyro.cli(Args, description=__doc__))
-    except (ImportError, OSError, RuntimeError, ValueError) as error:
-        sys.exit(f"error: {error}")
+    with answering():
+        main(read_arguments(Args, description=__doc__))
