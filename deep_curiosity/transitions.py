@@ -138,6 +138,23 @@ def check_counts(**counts: int) -> None:
             raise ValueError(f"`{name}` must be at least 1, got {count}.")
 
 
+def check_single_steps(num_steps: Tensor | None) -> None:
+    """Reject outcomes of several steps, from which a model would learn them as one.
+
+    Args:
+        num_steps: From each observation to what is called its next; `None` where each is one.
+
+    Raises:
+        ValueError: If any is more than one.
+    """
+    if num_steps is not None and (num_steps > 1).any():
+        raise ValueError(
+            "`next_observation` must be that of one step later, got one of "
+            f"{int(num_steps.max())} steps: leave MultiStepTransform, or MultiStep, to another "
+            "buffer than the one that a bonus learns from."
+        )
+
+
 def check_finite(**values: Tensor) -> None:
     """Reject NaN and infinity, naming the first row that has one.
 
