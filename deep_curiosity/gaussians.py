@@ -8,14 +8,80 @@ Kullback Leibler divergence between Gaussian mixture models" (2007), and Kolchin
 """
 
 import math
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from functools import wraps
+from inspect import signature, unwrap
+from typing import Any, NamedTuple, ParamSpec, get_args
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Float, Int, jaxtyped
 from torch import Tensor
 
 LOG_TWO_PI = math.log(2 * math.pi)
+Parameters = ParamSpec("Parameters")
+
+
+def checked(function: Callable[Parameters, Tensor]) -> Callable[Parameters, Tensor]:
+    """Let a function check arguments by their annotations, and refuse what leaves no number.
+
+    Inside a compiled graph nothing is checked.
+
+    Raises:
+        TypeError: If an argument is no tensor of real numbers.
+        ValueError: If one has a shape that is not its own or does not fit the others, or the
+            answer is NaN, or infinite though all arguments are finite.
+    """
+    known = signature(function)
+
+    @wraps(function)
+    def door(*args: Parameters.args, **kwargs: Parameters.kwargs) -> Tensor:
+        if torch.compiler.is_compiling():
+            return function(*args, **kwargs)
+        given = known.bind(*args, **kwargs).arguments
+        with jaxtyped("context"):  # axes of one name have one size
+            for name, value in given.items():
+                _check_tensor(name, value, known.parameters[name].annotation)
+        answer = function(*args, **kwargs)
+        _check_answer(answer, given)
+        return answer
+
+    return door
+
+
+def _check_tensor(name: str, value: Any, annotation: Any) -> None:
+    """Reject what is not as annotated."""
+    if isinstance(value, annotation):
+        return
+    axes = [
+        each.dim_str for each in (annotation, *get_args(annotation)) if hasattr(each, "dim_str")
+    ]
+    if not axes:
+        raise TypeError(f"`{name}` must be a {annotation.__name__}, got {value!r}.")
+    if not isinstance(value, Tensor) or not value.is_floating_point():
+        kind = value.dtype if isinstance(value, Tensor) else type(value).__name__
+        raise TypeError(f"`{name}` must be a tensor of real numbers, got {kind}.")
+    raise ValueError(
+        f"`{name}` must have axes ({axes[0].strip()}) that fit the other arguments, "
+        f"got shape {tuple(value.shape)}."
+    )
+
+
+def _check_answer(answer: Tensor, given: Mapping[str, Any]) -> None:
+    """Reject an answer that is no number, unless a weight or a width is zero."""
+    if answer.isfinite().all():
+        return
+    tensors = {name: value for name, value in given.items() if isinstance(value, Tensor)}
+    undefined = [name for name, value in tensors.items() if not value.isfinite().all()]
+    zeros = [
+        name for name in undefined if "log_" in name and (tensors[name] < math.inf).all()
+    ]  # logarithms of zero, which are minus infinity
+    if undefined and zeros == undefined and not answer.isnan().any():
+        return
+    sizes = {name: value.abs().max().item() for name, value in tensors.items()}
+    name = undefined[0] if undefined else max(sizes, key=lambda name: sizes[name])
+    raise ValueError(
+        f"`{name}` must be so small that the answer is a number, got up to {sizes[name]:g}."
+    )
 
 
 class DiagonalMixture(NamedTuple):
@@ -27,7 +93,7 @@ class DiagonalMixture(NamedTuple):
 
     def log_prob(self, value: Float[Tensor, "*#batch dim"]) -> Float[Tensor, "*batch"]:
         """Log density of values under the whole mixture, in nats."""
-        log_prob = gaussian_log_prob(value.unsqueeze(-2), self.loc, 0.5 * self.log_var)
+        log_prob = _gaussian_log_prob(value.unsqueeze(-2), self.loc, 0.5 * self.log_var)
         if self.loc.shape[-2] == 1:
             return log_prob.squeeze(-1)
         return torch.logsumexp(log_prob + self.log_weight, dim=-1)
@@ -68,14 +134,14 @@ class DiagonalMixture(NamedTuple):
 
     def entropy(self) -> Float[Tensor, "*batch"]:
         """Differential entropy, from below in nats; exact for one component."""
-        return self.mean(gaussian_entropy(self.log_var)) + jensen_shannon_lower(*self)
+        return self.mean(_gaussian_entropy(self.log_var)) + _jensen_shannon_lower(*self)
 
     def kl_upper(
         self, other: "DiagonalMixture", *, product_dtype: torch.dtype = torch.float64
     ) -> Float[Tensor, "*batch"]:
         """Upper bound of `KL(self || other)` in nats; `other` is one mixture for all places."""
-        upper = kl_to_mixture_upper(self.loc, self.log_var, *other, product_dtype=product_dtype)
-        return self.mean(upper) - jensen_shannon_lower(*self)
+        upper = _kl_to_mixture_upper(self.loc, self.log_var, *other, product_dtype=product_dtype)
+        return self.mean(upper) - _jensen_shannon_lower(*self)
 
     def kl_lower(self, other: "DiagonalMixture") -> Float[Tensor, "*batch"]:
         """Lower bound of `KL(self || other)` in nats; `other` is one mixture for all places."""
@@ -84,6 +150,7 @@ class DiagonalMixture(NamedTuple):
         )
 
 
+@checked
 def gaussian_log_prob(
     value: Float[Tensor, "*#batch dim"],
     loc: Float[Tensor, "*#batch dim"],
@@ -103,6 +170,7 @@ def sample_index(log_weight: Float[Tensor, "*batch choices"]) -> Int[Tensor, "*b
     return (log_weight + gumbel).argmax(-1)
 
 
+@checked
 def gaussian_entropy(log_var: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch"]:
     """Differential entropy of diagonal Gaussians, in nats.
 
@@ -120,6 +188,7 @@ def gaussian_entropy(log_var: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*ba
     return 0.5 * (log_var.sum(-1) + dim * (LOG_TWO_PI + 1))
 
 
+@checked
 def gaussian_kl(
     loc: Float[Tensor, "*#batch dim"],
     log_var: Float[Tensor, "*#batch dim"],
@@ -132,6 +201,7 @@ def gaussian_kl(
     return 0.5 * (torch.expm1(log_ratio) - log_ratio + distance).sum(-1)
 
 
+@checked
 def kl_to_mixture_upper(
     loc: Float[Tensor, "*batch dim"],
     log_var: Float[Tensor, "*batch dim"],
@@ -156,7 +226,7 @@ def kl_to_mixture_upper(
     Returns:
         The bound for each Gaussian, differentiable in every argument.
     """
-    log_density = expected_log_density(
+    log_density = _expected_log_density(
         loc,
         log_var,
         component_loc,
@@ -164,9 +234,10 @@ def kl_to_mixture_upper(
         component_log_weight,
         product_dtype=product_dtype,
     )
-    return -gaussian_entropy(log_var) - torch.logsumexp(log_density, dim=-1)
+    return -_gaussian_entropy(log_var) - torch.logsumexp(log_density, dim=-1)
 
 
+@checked
 def kl_to_mixture_lower(
     loc: Float[Tensor, "*batch dim"],
     log_var: Float[Tensor, "*batch dim"],
@@ -191,6 +262,7 @@ def kl_to_mixture_lower(
     return -gaussian_entropy(log_var) - torch.logsumexp(overlap, dim=-1)
 
 
+@checked
 def kl_to_mixture_sampled(
     loc: Float[Tensor, "*batch dim"],
     log_var: Float[Tensor, "*batch dim"],
@@ -218,6 +290,7 @@ def kl_to_mixture_sampled(
     return (own - mixture).mean(0)
 
 
+@checked
 def jensen_shannon_lower(
     loc: Float[Tensor, "*batch components dim"],
     log_var: Float[Tensor, "*batch components dim"],
@@ -234,6 +307,7 @@ def jensen_shannon_lower(
     return _pairwise_information(_bhattacharyya_distance, loc, log_var, log_weight)
 
 
+@checked
 def jensen_shannon_upper(
     loc: Float[Tensor, "*batch components dim"],
     log_var: Float[Tensor, "*batch components dim"],
@@ -243,6 +317,7 @@ def jensen_shannon_upper(
     return _pairwise_information(gaussian_kl, loc, log_var, log_weight)
 
 
+@checked
 def mixture_log_density(
     value: Float[Tensor, "*batch dim"],
     component_loc: Float[Tensor, "components dim"],
@@ -257,6 +332,7 @@ def mixture_log_density(
     return torch.logsumexp(log_density, dim=-1)
 
 
+@checked
 def expected_log_density(
     loc: Float[Tensor, "*batch dim"],
     log_var: Float[Tensor, "*batch dim"],
@@ -333,3 +409,11 @@ def _columns(
     runs = zip(starts, [*starts[1:], len(index)], strict=True)
     slices = [value[..., index[start] : index[start] + stop - start] for start, stop in runs]
     return slices[0] if len(slices) == 1 else torch.cat(slices, dim=-1)
+
+
+# the same unchecked, where an update calls them
+_gaussian_log_prob = unwrap(gaussian_log_prob)
+_gaussian_entropy = unwrap(gaussian_entropy)
+_kl_to_mixture_upper = unwrap(kl_to_mixture_upper)
+_jensen_shannon_lower = unwrap(jensen_shannon_lower)
+_expected_log_density = unwrap(expected_log_density)

@@ -9,7 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
-from deep_curiosity.transitions import Sequences, Transition, check_counts
+from deep_curiosity.transitions import Sequences, Transition, check_counts, check_single_steps
 
 if TYPE_CHECKING:
     from torchrl.data import ReplayBuffer as TorchRLReplayBuffer
@@ -351,28 +351,32 @@ class ReplayBuffer:
         """Copy the transitions of a torchrl buffer that uses torchrl's usual keys.
 
         Args:
-            buffer: A torchrl buffer of tensordicts.
+            buffer: A torchrl buffer of tensordicts. Where its storage has several dimensions, time
+                comes first, and each place of the others is an environment.
             capacity: Of the new buffer; that of the old one's contents when `None`.
             seed: Seed of the generator that samples batches.
+
+        Raises:
+            ValueError: If an entry has the wrong shape or holds NaN or infinity, or the next
+                observations are those of several steps later.
         """
         held = _oldest_first(buffer)
         next_step = held["next"]
-        rows = torch.cat(
-            [
-                held["observation"],
-                held["action"],
-                next_step["reward"],
-                next_step["observation"],
-                next_step["terminated"].float(),
-                next_step["truncated"].float(),
-            ],
-            dim=-1,
+        vectors = held["observation"], held["action"], next_step["observation"]
+        names = ("reward", "terminated", "truncated")
+        scalars = (next_step[name].cpu().flatten().numpy() for name in names)
+        observation, action, next_observation = (
+            each.cpu().flatten(0, -2).numpy() for each in vectors
         )
-        sizes = held["observation"].shape[-1], held["action"].shape[-1]
-        copy = cls(rows.shape[0] if capacity is None else capacity, *sizes, seed=seed)
-        rows = rows[-copy.capacity :]
-        copy._rows[: rows.shape[0]] = rows
-        copy._num_added = rows.shape[0]
+        copy = cls(
+            len(observation) if capacity is None else capacity,
+            observation.shape[-1],
+            action.shape[-1],
+            num_envs=held.batch_size[1:].numel(),
+            seed=seed,
+        )
+        reward, terminated, truncated = scalars
+        copy.extend(observation, action, reward, next_observation, terminated, truncated)
         return copy
 
     def _check_sample(self, **counts: int) -> None:
@@ -422,7 +426,8 @@ def _check_rows(name: str, value: np.ndarray, shape: tuple[int, ...]) -> None:
 def _oldest_first(buffer: "TorchRLReplayBuffer") -> Any:
     """Contents of a torchrl buffer in the order of writing, also where it has gone round."""
     held = buffer.storage[:]  # `buffer[:]` would pass through its transforms
-    if len(buffer) < buffer.storage.max_size:
+    check_single_steps(held.get("steps_to_next_obs", None))
+    if len(held) < buffer.storage.shape[0]:
         return held
-    next_slot = buffer.writer._cursor % len(buffer)
+    next_slot = buffer.writer._cursor % len(held)
     return torch.cat([held[next_slot:], held[:next_slot]])

@@ -4,6 +4,8 @@ import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+from deep_curiosity.transitions import is_number
+
 Shape = Literal["constant", "linear", "exponential", "plateaus"]
 NUM_PLATEAUS = 10  # temperatures at which annealing waits
 
@@ -37,8 +39,8 @@ class Schedule:
             raise ValueError(f"`shape` must be one of {get_args(Shape)}, got {self.shape!r}.")
         for name in ("first", "last"):
             value = getattr(self, name)
-            if value is not None and not 0 < value < math.inf:
-                raise ValueError(f"`{name}` must be finite and positive, got {value}.")
+            if (value is not None or name == "first") and not (is_number(value) and value > 0):
+                raise ValueError(f"`{name}` must be finite and positive, got {value!r}.")
         if (self.shape == "constant") != (self.last is None):
             raise ValueError(
                 "`last` must be left out where the shape is 'constant', and nowhere else, "
@@ -52,6 +54,8 @@ class Schedule:
         Raises:
             ValueError: If the text is no schedule.
         """
+        if not isinstance(text, str):
+            raise TypeError(f"`text` must be written as shape:first:last, got {text!r}.")
         shape, *numbers = text.split(":")
         try:
             values = [float(number) for number in numbers]
@@ -59,7 +63,7 @@ class Schedule:
             values = []
         if shape not in get_args(Shape) or not 1 <= len(values) <= 2:
             raise ValueError(
-                "a schedule must be written as shape:first:last, its shape one of "
+                "`schedule` must be written as shape:first:last, its shape one of "
                 f"{', '.join(get_args(Shape))}, got {text!r}."
             )
         last = values[1] if len(values) > 1 else None
@@ -72,6 +76,8 @@ class Schedule:
 
     def __call__(self, progress: float) -> float:
         """Value at a share of the way, from 0 to 1; it stays where it ends."""
+        if not (is_number(progress) and progress >= 0):
+            raise ValueError(f"`progress` must be finite and not negative, got {progress!r}.")
         progress = min(progress, 1.0)
         if self.last is None:
             return self.first

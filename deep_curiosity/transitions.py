@@ -1,12 +1,16 @@
 """The batch that every part speaks: raw transitions, nothing derived."""
 
 import math
+import numbers
 from operator import itemgetter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
+
+MOST = 2**40  # of whatever is counted: more has no place in any memory
+LARGEST = 1e14  # of what is learned from; beyond it, squares of whitened values leave float32
 
 
 class Transition(NamedTuple):
@@ -85,6 +89,8 @@ class Sequences(NamedTuple):
             ValueError: If a field has the wrong shape or holds NaN or infinity.
         """
         check_transition(self.steps, observation_dim, action_dim, dtype)
+        if not isinstance(self.alive, Tensor) or self.alive.dtype != torch.bool:
+            raise TypeError(f"`alive` must be a tensor of torch.bool, got {_kind(self.alive)}.")
         if self.alive.ndim != 2 or self.alive.numel() != len(self.steps.reward):
             raise ValueError(
                 f"`alive` must have shape (num_steps, batch) of {len(self.steps.reward)} steps, "
@@ -96,6 +102,8 @@ def as_sequences(batch: Transition | Sequences) -> Sequences:
     """Sequences as they are, transitions as sequences of one step."""
     if isinstance(batch, Sequences):
         return batch
+    if not isinstance(batch, Transition):
+        raise TypeError(f"`batch` must be a Transition or Sequences, got {type(batch).__name__}.")
     check_scalars("terminated", batch.terminated, torch.bool)
     return Sequences(batch, torch.ones_like(batch.terminated).unsqueeze(0))
 
@@ -112,11 +120,39 @@ def check_batch(name: str, value: Tensor, dim: int, dtype: torch.dtype = torch.f
         TypeError: If `value` is no tensor or has another dtype.
         ValueError: If the shape is not `(batch, dim)`.
     """
-    kind = value.dtype if isinstance(value, Tensor) else type(value).__name__
-    if kind != dtype:
-        raise TypeError(f"`{name}` must be a tensor of {dtype}, got {kind}.")
+    if not isinstance(value, Tensor) or value.dtype != dtype:
+        raise TypeError(f"`{name}` must be a tensor of {dtype}, got {_kind(value)}.")
     if value.ndim != 2 or value.shape[1] != dim:
         raise ValueError(f"`{name}` must have shape (batch, {dim}), got {tuple(value.shape)}.")
+
+
+def check_inputs(dtype: torch.dtype, **inputs: tuple[Any, int]) -> None:
+    """Reject what are not batches of vectors that belong together and can be computed with.
+
+    Args:
+        dtype: Of the networks.
+        **inputs: What is given, and the length that its vectors must have, by name.
+
+    Raises:
+        TypeError: If one is no tensor or has another dtype.
+        ValueError: If one has the wrong shape or another number of rows than the first, or holds
+            NaN, infinity or numbers beyond 1e14. Values are not looked at inside a compiled graph.
+    """
+    total, first = 0.0, None
+    for name, (value, dim) in inputs.items():
+        fits = isinstance(value, Tensor) and value.dtype == dtype
+        if not fits or value.ndim != 2 or value.shape[1] != dim:
+            check_batch(name, value, dim, dtype)  # which says what is wrong
+        first = value if first is None else first
+        if len(value) != len(first):
+            raise ValueError(
+                f"`{name}` must have as many rows as `{next(iter(inputs))}`, {len(first)}, "
+                f"got {len(value)}."
+            )
+        if not torch.compiler.is_compiling():
+            total = total + torch.linalg.vector_norm(value.detach())
+    if not torch.compiler.is_compiling() and not total <= LARGEST:  # one wait for a device
+        check_moderate(**{name: value for name, (value, _) in inputs.items()})
 
 
 def check_scalars(name: str, value: Tensor, dtype: torch.dtype) -> None:
@@ -126,22 +162,49 @@ def check_scalars(name: str, value: Tensor, dtype: torch.dtype) -> None:
         TypeError: If `value` is no tensor or has another dtype.
         ValueError: If the shape is not `(batch,)`.
     """
-    kind = value.dtype if isinstance(value, Tensor) else type(value).__name__
-    if kind != dtype:
-        raise TypeError(f"`{name}` must be a tensor of {dtype}, got {kind}.")
+    if not isinstance(value, Tensor) or value.dtype != dtype:
+        raise TypeError(f"`{name}` must be a tensor of {dtype}, got {_kind(value)}.")
     if value.ndim != 1:
         raise ValueError(f"`{name}` must have shape (batch,), got {tuple(value.shape)}.")
 
 
-def check_counts(**counts: int) -> None:
-    """Reject counts and sizes below 1.
+def is_number(value: Any) -> bool:
+    """Whether a value is a finite real number; `True` and `False` are none."""
+    is_real = isinstance(value, numbers.Real) and not isinstance(value, bool)
+    return is_real and math.isfinite(value)
+
+
+def check_counts(**counts: Any) -> None:
+    """Reject counts and sizes that are no whole numbers, or below 1.
 
     Raises:
-        ValueError: Naming the first one and its value.
+        TypeError: Naming the first one that is no whole number.
+        ValueError: Naming the first one that is below 1, and its value.
     """
     for name, count in counts.items():
-        if count < 1:
+        if isinstance(count, bool) or not isinstance(count, numbers.Integral):
+            raise TypeError(f"`{name}` must be a whole number, got {count!r}.")
+        if int(count) < 1:
             raise ValueError(f"`{name}` must be at least 1, got {count}.")
+        if int(count) > MOST:
+            raise ValueError(f"`{name}` must be at most {MOST}, got {count}.")
+
+
+def check_single_steps(num_steps: Tensor | None) -> None:
+    """Reject outcomes of several steps, from which a model would learn them as one.
+
+    Args:
+        num_steps: From each observation to what is called its next; `None` where each is one.
+
+    Raises:
+        ValueError: If any is more than one.
+    """
+    if num_steps is not None and (num_steps > 1).any():
+        raise ValueError(
+            "`next_observation` must be that of one step later, got one of "
+            f"{int(num_steps.max())} steps: leave MultiStepTransform, or MultiStep, to another "
+            "buffer than the one that a bonus learns from."
+        )
 
 
 def check_finite(**values: Tensor) -> None:
@@ -155,6 +218,34 @@ def check_finite(**values: Tensor) -> None:
         if not finite.all():
             row = int((~finite).nonzero()[0, 0])
             raise ValueError(f"`{name}` must be finite, got {value[row].tolist()} in row {row}.")
+
+
+def check_moderate(**values: Tensor) -> None:
+    """Reject NaN, infinity and numbers beyond 1e14, naming the first row that has one.
+
+    Raises:
+        ValueError: If any entry is none that can be learned from.
+    """
+    check_finite(**values)
+    for name, value in values.items():
+        beyond = value.abs() > LARGEST
+        if beyond.any():
+            row = int(beyond.nonzero()[0, 0])
+            raise ValueError(
+                f"`{name}` must lie within {LARGEST:g} of zero, "
+                f"got {value[row].tolist()} in row {row}."
+            )
+
+
+def check_transition_kind(transition: Any) -> None:
+    """Reject what is no `Transition`.
+
+    Raises:
+        TypeError: If it is something else.
+    """
+    if not isinstance(transition, Transition):
+        kind = type(transition).__name__
+        raise TypeError(f"`transition` must be a Transition, got {kind}.")
 
 
 def check_transition(
@@ -182,11 +273,12 @@ def check_transition(
             and action.shape == (batch, action_dim)
             and reward.shape == terminated.shape == truncated.shape == (batch,)
         )
-        # one wait for a device; a sum that overflows only needs another look
-        total = observation.sum() + action.sum() + next_observation.sum() + reward.sum()
-        if fits and batch and math.isfinite(total):
+        # one wait for a device; a norm that is too large only needs another look
+        norm = torch.linalg.vector_norm
+        total = norm(observation) + norm(action) + norm(next_observation) + norm(reward)
+        if fits and batch and total <= LARGEST:
             return
-    except (AttributeError, TypeError, RuntimeError):
+    except (AttributeError, TypeError, ValueError, RuntimeError):
         pass  # what is wrong is said below
     _explain(transition, observation_dim, action_dim, dtype)
 
@@ -194,7 +286,8 @@ def check_transition(
 def _explain(
     transition: Transition, observation_dim: int, action_dim: int, dtype: torch.dtype
 ) -> None:
-    """Say what is wrong with a transition, field by field; nothing where only a sum overflowed."""
+    """Say what is wrong with a transition, field by field; nothing where only a norm is large."""
+    check_transition_kind(transition)
     for name, dim in (
         ("observation", observation_dim),
         ("action", action_dim),
@@ -206,10 +299,17 @@ def _explain(
     check_scalars("truncated", transition.truncated, torch.bool)
     num_rows = {name: getattr(transition, name).shape[0] for name in transition._fields}
     if len(set(num_rows.values())) != 1 or num_rows["observation"] == 0:
-        raise ValueError(f"all fields must share one batch size of at least 1, got {num_rows}.")
-    check_finite(
+        raise ValueError(
+            f"`transition` must have fields of one batch size of at least 1, got {num_rows}."
+        )
+    check_moderate(
         observation=transition.observation,
         action=transition.action,
         next_observation=transition.next_observation,
         reward=transition.reward,
     )
+
+
+def _kind(value: Any) -> str:
+    """What a value is, as an error names it."""
+    return str(value.dtype) if isinstance(value, Tensor) else type(value).__name__

@@ -407,3 +407,29 @@ def test_divergence_of_a_mixture_of_one_is_that_of_its_component(bound):
     )
     method = alone.kl_upper if bound is kl_to_mixture_upper else alone.kl_lower
     torch.testing.assert_close(method(DiagonalMixture(*problem)), bound(loc, log_var, *problem))
+
+
+@pytest.mark.parametrize("bound", [kl_to_mixture_lower, kl_to_mixture_upper])
+@pytest.mark.parametrize("loc", [None, [0.0], torch.zeros(4, 2, dtype=torch.long)])
+def test_what_is_no_tensor_of_real_numbers_is_refused_by_name(bound, loc):
+    component = torch.zeros(5, 2)
+    with pytest.raises(TypeError, match="`loc` must be a tensor of real numbers, got"):
+        bound(loc, torch.zeros(4, 2), component, component)
+
+
+@pytest.mark.parametrize("value", [1e38, math.nan, math.inf])
+def test_an_answer_that_is_no_number_is_refused_by_the_name_of_its_cause(value):
+    log_var = torch.zeros(3, 2)
+    log_var[1, 1] = value
+    with pytest.raises(ValueError, match="`log_var` must be so small that the answer is a number"):
+        gaussian_kl(torch.zeros(3, 2), log_var, torch.zeros(3, 2), torch.zeros(3, 2))
+
+
+def test_a_component_of_no_weight_is_no_reason_to_refuse():
+    log_weight = torch.tensor([0.0, -math.inf])
+    value, component = torch.zeros(3, 2), torch.zeros(2, 2)
+    density = mixture_log_density(value, component, component, log_weight)
+    torch.testing.assert_close(density, torch.full((3,), -math.log(2 * math.pi)))
+    assert (
+        expected_log_density(value, value, component, component, log_weight)[:, 1] == -math.inf
+    ).all()

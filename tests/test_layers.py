@@ -12,7 +12,8 @@ from deep_curiosity.bonuses import BONUSES, Bonus
 
 ROOT = Path(deep_curiosity.__file__).parent
 LAYERS = (
-    ("cli", "configuration", "schedules", "transitions", "gaussians", "losses", "nn"),
+    ("transitions",),
+    ("cli", "configuration", "schedules", "gaussians", "losses", "nn"),
     ("replay",),
     ("speed",),
     ("bonuses",),

@@ -1,5 +1,6 @@
 import math
 
+import numpy as np
 import pytest
 import torch
 
@@ -10,7 +11,10 @@ from deep_curiosity.transitions import (
     check_batch,
     check_counts,
     check_finite,
+    check_inputs,
+    check_single_steps,
     check_transition,
+    is_number,
 )
 
 
@@ -140,3 +144,72 @@ def test_an_unknown_bonus_ends_what_is_known_of_a_sequence():
 
 def _ends(number):
     return torch.zeros(number, 2), torch.zeros(number).bool(), torch.zeros(number).bool()
+
+
+def test_a_pair_must_have_as_many_rows() -> None:
+    with pytest.raises(ValueError, match="`action` must have as many rows as `observation`, 32,"):
+        check_inputs(
+            torch.float32,
+            observation=(torch.zeros(32, 3), 3),
+            action=(torch.zeros(31, 2), 2),
+        )
+
+
+@pytest.mark.parametrize(
+    ("value", "message"),
+    [
+        (math.nan, r"`action` must be finite, got \[nan\] in row 2"),
+        (-math.inf, r"`action` must be finite, got \[-inf\] in row 2"),
+        (1e38, r"`action` must lie within 1e\+14 of zero, got \[9.99\S+e\+37\] in row 2"),
+        (-1e15, r"`action` must lie within 1e\+14 of zero"),
+    ],
+)
+def test_what_cannot_be_computed_with_is_named_with_its_row(value: float, message: str) -> None:
+    action = torch.zeros(4, 1)
+    action[2] = value
+    with pytest.raises(ValueError, match=message):
+        check_inputs(torch.float32, observation=(torch.zeros(4, 3), 3), action=(action, 1))
+
+
+def test_large_values_within_the_bound_are_taken_however_many() -> None:
+    observation = torch.full((1_000, 3), 0.99e14)  # whose norm is beyond it
+    check_inputs(torch.float32, observation=(observation, 3))
+
+
+@pytest.mark.parametrize("field", ["observation", "action", "reward", "next_observation"])
+def test_a_transition_with_an_absurd_number_is_refused(field: str) -> None:
+    flags = torch.zeros(4, dtype=torch.bool)
+    numbers = torch.zeros(4, 3), torch.zeros(4, 2), torch.zeros(4), torch.zeros(4, 3)
+    transition = Transition(*numbers, flags, flags)
+    getattr(transition, field)[1] = 1e25
+    with pytest.raises(ValueError, match=f"`{field}` must lie within 1e\\+14 of zero, got"):
+        check_transition(transition, 3, 2)
+
+
+@pytest.mark.parametrize("count", [True, 2.0, None, "3"])
+def test_a_count_must_be_a_whole_number(count: object) -> None:
+    with pytest.raises(TypeError, match="`members` must be a whole number, got"):
+        check_counts(members=count)
+
+
+def test_a_count_of_numpy_is_a_count() -> None:
+    check_counts(members=np.int64(3))
+    with pytest.raises(ValueError, match="`members` must be at most"):
+        check_counts(members=10**18)
+
+
+@pytest.mark.parametrize("value", [None, "1", True, math.nan, math.inf, 1j, [1.0]])
+def test_what_is_no_finite_number_is_none(value: object) -> None:
+    assert not is_number(value)
+
+
+@pytest.mark.parametrize("value", [0, -1.5, np.float32(2), np.int64(3)])
+def test_numbers_of_any_kind_are_numbers(value: object) -> None:
+    assert is_number(value)
+
+
+def test_several_steps_are_not_taken_for_one() -> None:
+    check_single_steps(None)
+    check_single_steps(torch.ones(3, dtype=torch.long))
+    with pytest.raises(ValueError, match=r"`next_observation` must be .* one of 3 steps"):
+        check_single_steps(torch.tensor([1, 3, 2]))

@@ -12,6 +12,7 @@ from deep_curiosity.configuration import (
     setting,
 )
 from deep_curiosity.schedules import Schedule
+from deep_curiosity.transitions import is_number
 
 DEFAULT_GREEDY_SHARE = 0.25
 TEMPERATURES = (
@@ -51,8 +52,8 @@ class ConditionedHunger:
             raise ValueError(
                 f"`source` must be one of {get_args(HungerSource)}, got {self.source!r}."
             )
-        if not 0 <= self.value <= 1:
-            raise ValueError(f"`hunger` must lie in [0, 1] where conditioned, got {self.value}.")
+        if not (is_number(self.value) and 0 <= self.value <= 1):
+            raise ValueError(f"`hunger` must lie in [0, 1] where conditioned, got {self.value!r}.")
 
     @classmethod
     def parse(cls, text: str) -> "ConditionedHunger":
@@ -61,6 +62,8 @@ class ConditionedHunger:
         Raises:
             ValueError: If the text is none of the forms, or the value outside [0, 1].
         """
+        if not isinstance(text, str):
+            raise TypeError(f"`text` must be text, such as conditioned:0.5, got {text!r}.")
         source, _, detail = text.partition(":")
         if source == "battery":
             is_number = detail.removeprefix("-").isdecimal()

@@ -28,7 +28,16 @@ from deep_curiosity.losses import (
 )
 from deep_curiosity.nn.networks import Adam
 from deep_curiosity.schedules import Schedule
-from deep_curiosity.transitions import Sequences, Transition, as_sequences, check_batch
+from deep_curiosity.transitions import (
+    LARGEST,
+    Sequences,
+    Transition,
+    as_sequences,
+    check_counts,
+    check_inputs,
+    check_moderate,
+    is_number,
+)
 
 STD_DECAY = 0.99  # of the running standard deviations of the values, for each update
 LOG_TEMPERATURES = math.log(TEMPERATURES[0]), math.log(TEMPERATURES[1])
@@ -103,6 +112,11 @@ class CuriousSAC(nn.Module):
     ) -> None:
         super().__init__()
         config = AgentConfig() if config is None else config
+        check_counts(observation_dim=observation_dim, action_dim=action_dim)
+        if not isinstance(config, AgentConfig):
+            raise TypeError(f"`config` must be an AgentConfig, got {config!r}.")
+        if not isinstance(curiosity, bool):
+            raise TypeError(f"`curiosity` must be True or False, got {curiosity!r}.")
         self.config = config
         self.observation_dim = observation_dim
         self.action_dim = action_dim
@@ -279,7 +293,8 @@ class CuriousSAC(nn.Module):
             greedy: Act by the greedy policy, if there is one.
             hunger: One for all or one for each, where conditioned; the agent's own by default.
         """
-        check_batch("observation", observation, self.observation_dim, self.log_temperature.dtype)
+        dtype = self.log_temperature.dtype
+        check_inputs(dtype, observation=(observation, self.observation_dim))
         number = 0 if greedy else -1  # the same where there is one policy
         policy = self.policy(self.policy_input(observation, hunger), number)
         if deterministic:
@@ -343,6 +358,8 @@ class CuriousSAC(nn.Module):
         if self.has_curiosity_critic:
             metrics["curiosity_coefficient"] = self._coefficient(self._hunger)
         if observation is not None:
+            dtype = self.log_temperature.dtype
+            check_inputs(dtype, observation=(observation, self.observation_dim))
             policy = self.policy(self.policy_input(observation), -1)
             with torch.random.fork_rng():  # leaves the global stream where it is
                 torch.manual_seed(0)
@@ -363,6 +380,28 @@ class CuriousSAC(nn.Module):
                 f"maximises it, got a tensor of shape {tuple(bonus.shape)}."
             )
         sequences.check(self.observation_dim, self.action_dim, self.log_temperature.dtype)
+        if isinstance(bonus, Tensor):
+            num_steps, batch_size = sequences.alive.shape
+            num_rows = min(num_steps, self.num_steps[-1]) * batch_size
+            self._check_bonus(bonus, num_rows, batch_size)
+        elif not (bonus is None or callable(bonus)):
+            raise TypeError(f"`bonus` must be a tensor or a function, got {bonus!r}.")
+
+    def _check_bonus(self, bonus: Tensor, num_rows: int, batch_size: int) -> None:
+        dtype = self.log_temperature.dtype
+        if bonus.dtype != dtype:
+            raise TypeError(f"`bonus` must be a tensor of {dtype}, got {bonus.dtype}.")
+        if bonus.shape != (num_rows,):
+            raise ValueError(
+                f"`bonus` must have shape ({num_rows},), one number for each of the "
+                f"`curious_steps`, got {tuple(bonus.shape)}."
+            )
+        if torch.compiler.is_compiling():
+            return
+        later = torch.arange(num_rows, device=bonus.device) >= batch_size
+        known = bonus.masked_fill(later & bonus.isnan(), 0.0)
+        if not torch.linalg.vector_norm(known) <= LARGEST:
+            check_moderate(bonus=known)
 
     def _sample_hunger(self, like: Float[Tensor, " batch"]) -> Hunger:
         """The agent's hunger; where conditioned a quarter at each end, the others between them."""
@@ -591,7 +630,7 @@ def check_positive(
     name: str, value: float, *, or_zero: bool = False, at_most: float = math.inf
 ) -> None:
     """Reject numbers that are not finite and positive, or zero where that is allowed."""
-    if not (math.isfinite(value) and (value > 0 or (or_zero and value == 0))):
+    if not (is_number(value) and (value > 0 or (or_zero and value == 0))):
         rule = "not negative" if or_zero else "positive"
         raise ValueError(f"`{name}` must be finite and {rule}, got {value}.")
     if value > at_most:

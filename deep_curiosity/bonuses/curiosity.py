@@ -18,8 +18,8 @@ from deep_curiosity.nn.networks import frozen
 from deep_curiosity.nn.statistics import Every, Standardization
 from deep_curiosity.transitions import (
     Transition,
-    check_batch,
     check_counts,
+    check_inputs,
     check_transition,
     every_second,
 )
@@ -189,7 +189,18 @@ class CuriosityBonus(Bonus):
 
         Raises:
             RuntimeError: If nothing has been observed yet.
+            TypeError: If an argument has the wrong kind.
+            ValueError: If one has the wrong shape, another batch size, or a value that is not
+                finite or beyond 1e14.
         """
+        shape = getattr(observation, "shape", None)
+        if next_observation is not None and getattr(next_observation, "shape", None) != shape:
+            dim = self.observation_dim
+            check_inputs(
+                self._dtype,
+                observation=(observation, dim),
+                next_observation=(next_observation, dim),
+            )
         bonus = self.standardization(self._score(observation, action))
         return bonus if self.tuned_weight is None else self.tuned_weight.factor * bonus
 
@@ -372,9 +383,11 @@ class CuriosityBonus(Bonus):
         return prediction if self.entries is None else prediction.coordinates(self.entries)
 
     def _check_question(self, observation: Tensor, action: Tensor) -> None:
-        dtype = self._dtype
-        check_batch("observation", observation, self.observation_dim, dtype)
-        check_batch("action", action, self.action_dim, dtype)
+        check_inputs(
+            self._dtype,
+            observation=(observation, self.observation_dim),
+            action=(action, self.action_dim),
+        )
         if not self.ready:
             raise RuntimeError("`observe` must see a batch before the bonus can be computed.")
 

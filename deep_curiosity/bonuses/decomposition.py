@@ -8,6 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from deep_curiosity.gaussians import DiagonalMixture, jensen_shannon_lower
+from deep_curiosity.transitions import is_number
 
 
 class Coefficients(NamedTuple):
@@ -41,13 +42,15 @@ def coefficients_of(parts: Mapping[str, float] | None) -> Coefficients:
     """
     if parts is None:
         return DIVERGENCE
+    if not isinstance(parts, Mapping):
+        raise TypeError(f"`parts` must map names to weights, got {parts!r}.")
     if not parts:
         raise ValueError(f"`parts` must name at least one of {', '.join(PARTS)}, got {parts}.")
     for name, weight in parts.items():
         if name not in PARTS:
             raise ValueError(f"`parts` must be named {', '.join(PARTS)}, got {name!r}.")
-        if not math.isfinite(weight):
-            raise ValueError(f"`parts` must have finite weights, got {weight} for {name!r}.")
+        if not is_number(weight):
+            raise ValueError(f"`parts` must have finite weights, got {weight!r} for {name!r}.")
     weighted = [[weight * share for share in PARTS[name]] for name, weight in parts.items()]
     coefficients = Coefficients(*map(sum, zip(*weighted, strict=True)))
     if not any(coefficients):

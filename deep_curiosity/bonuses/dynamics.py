@@ -12,7 +12,7 @@ from torch.nn.functional import softplus
 from deep_curiosity.gaussians import DiagonalMixture
 from deep_curiosity.nn.networks import StackedMLP, assign_rows, log_softmax_of_rest, restore_order
 from deep_curiosity.nn.statistics import HASH_FACTOR, HASH_OFFSET, WHITENINGS, scrambled
-from deep_curiosity.transitions import Transition, check_counts, check_finite
+from deep_curiosity.transitions import Transition, check_counts, check_finite, is_number
 
 Whitening = Literal["moments", "robust", "saturating"]
 Members = Literal["round_robin", "all"]
@@ -81,13 +81,14 @@ class DynamicsEnsemble(nn.Module):
         if whitening not in WHITENINGS:
             choices = ", ".join(WHITENINGS)
             raise ValueError(f"`whitening` must be one of {choices}, got {whitening!r}.")
+        check_counts(num_members=num_members)
         check_members(num_members, members)
         check_counts(
             observation_dim=observation_dim,
             action_dim=action_dim,
             mixture_components=mixture_components,
         )
-        if not 0 < noise_floor < math.inf:
+        if not (is_number(noise_floor) and noise_floor > 0):
             raise ValueError(f"`noise_floor` must be positive and finite, got {noise_floor}.")
         self.observation_dim = observation_dim
         self.action_dim = action_dim

@@ -1,7 +1,5 @@
 """The small learner that a bonus needs beside an agent."""
 
-import math
-
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -9,7 +7,9 @@ from torch import Tensor, nn
 from deep_curiosity.bonuses.base import Bonus, Policy
 from deep_curiosity.nn.networks import Adam
 from deep_curiosity.nn.statistics import Every
-from deep_curiosity.transitions import Transition, check_counts
+from deep_curiosity.transitions import Transition, check_counts, check_transition_kind, is_number
+
+MOST_LEARNING_RATE = 1.0  # Adam's first step is as long, and weights are about a tenth of it
 
 
 class BonusLearner(nn.Module):
@@ -30,8 +30,14 @@ class BonusLearner(nn.Module):
         self, bonus: Bonus, *, learning_rate: float = 1e-3, update_interval: int = 1
     ) -> None:
         super().__init__()
-        if not 0 < learning_rate < math.inf:
+        if not isinstance(bonus, Bonus):
+            raise TypeError(f"`bonus` must be a Bonus, got {type(bonus).__name__}.")
+        if not (is_number(learning_rate) and learning_rate > 0):
             raise ValueError(f"`learning_rate` must be positive and finite, got {learning_rate}.")
+        if learning_rate > MOST_LEARNING_RATE:
+            raise ValueError(
+                f"`learning_rate` must be at most {MOST_LEARNING_RATE}, got {learning_rate}."
+            )
         self.bonus = bonus
         check_counts(update_interval=update_interval)
         self.every = Every(update_interval)
@@ -61,5 +67,6 @@ class BonusLearner(nn.Module):
     @torch.no_grad()
     def compute(self, transition: Transition) -> Float[Tensor, " batch"]:
         """Bonus of each transition as the networks now stand; the reward is not in it."""
+        check_transition_kind(transition)
         observation, action, _, next_observation, *_ = transition
         return self.bonus(observation, action, next_observation)

@@ -14,6 +14,7 @@ from deep_curiosity.gaussians import (
     mixture_log_density,
 )
 from deep_curiosity.speed.precision import matmul_is_float32
+from deep_curiosity.transitions import check_counts, is_number
 
 LOG_BANDWIDTH_RANGE = (math.log(1e-3), math.log(10.0))  # searched for a target perplexity
 NUM_MEASURED = 256  # components over which a mean is taken
@@ -65,6 +66,7 @@ class NextStateMarginal(nn.Module):
         target_perplexity: float = 8.0,
     ) -> None:
         super().__init__()
+        check_counts(dim=dim)
         _check_components(components, bandwidth, target_perplexity)
         self.bandwidth = bandwidth
         self.target_perplexity = target_perplexity
@@ -231,15 +233,17 @@ def silverman_log_bandwidth(num_points: int, dim: int) -> float:
 
 def _check_components(components: int, bandwidth: float | str, target_perplexity: float) -> None:
     """Reject a marginal that cannot be."""
+    check_counts(components=components)
     if components < 2:
         raise ValueError(f"`components` must be at least 2, got {components}.")
     named = bandwidth in ("silverman", "perplexity")
-    if not named and not (isinstance(bandwidth, int | float) and 0 < bandwidth < math.inf):
+    if not named and not (is_number(bandwidth) and bandwidth > 0):  # type: ignore[operator]
         raise ValueError(
             "`bandwidth` must be 'silverman', 'perplexity' or a positive number, "
             f"got {bandwidth!r}."
         )
-    if bandwidth == "perplexity" and not 1 < target_perplexity < components:
+    fits = is_number(target_perplexity) and 1 < target_perplexity < components
+    if bandwidth == "perplexity" and not fits:
         raise ValueError(
             f"`target_perplexity` must lie between 1 and `components` ({components}), "
             f"got {target_perplexity}."

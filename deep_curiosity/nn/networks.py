@@ -13,6 +13,8 @@ from torch.nn.functional import layer_norm as normalize_layer
 from torch.nn.functional import pad
 from torch.optim.adam import adam
 
+from deep_curiosity.transitions import check_counts
+
 ALL = slice(None)
 MEAN_DECAY, SQUARE_DECAY, EPSILON = 0.9, 0.999, 1e-8
 
@@ -65,6 +67,8 @@ class StackedMLP(nn.Module):
         layer_norm: bool = False,
     ) -> None:
         super().__init__()
+        check_hidden_dims(hidden_dims)
+        check_counts(members=members, in_features=in_features)
         self.layer_norm = layer_norm
         widths = [in_features, *hidden_dims, out_features]
         self.members = members
@@ -104,6 +108,19 @@ class StackedMLP(nn.Module):
                 value = normalize_layer(value, value.shape[-1:])
             value = torch.relu(value)
         return value
+
+
+def check_hidden_dims(hidden_dims: Any) -> None:
+    """Reject what are no widths of layers.
+
+    Raises:
+        TypeError: If they are no sequence of whole numbers.
+        ValueError: If one is below 1.
+    """
+    if not isinstance(hidden_dims, Sequence) or isinstance(hidden_dims, str):
+        raise TypeError(f"`hidden_dims` must be a sequence of widths, got {hidden_dims!r}.")
+    for width in hidden_dims:
+        check_counts(hidden_dims=width)
 
 
 def assign_rows(

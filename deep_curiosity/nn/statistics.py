@@ -6,6 +6,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor, nn
 
+from deep_curiosity.transitions import check_counts, is_number
+
 VARIANCE_FLOOR = 1e-8  # a feature that never moves is whitened by 1e-4 of its unit, not by zero
 NUM_DRAWN = 2_048  # rows: an interquartile range of so many is right to 3 %
 QUARTILES = torch.tensor([0.25, 0.5, 0.75])
@@ -31,6 +33,7 @@ class Every(nn.Module):
 
     def __init__(self, interval: int) -> None:
         super().__init__()
+        check_counts(interval=interval)
         self.interval = interval
         self.register_buffer("num_calls", torch.zeros((), dtype=torch.long))
         self._num_calls = 0  # the same as a plain number: to read it waits for no device
@@ -66,8 +69,9 @@ class RunningMoments(nn.Module):
 
     def __init__(self, dim: int, *, memory: float = float("inf")) -> None:
         super().__init__()
-        if not memory > 0:
-            raise ValueError(f"`memory` must be positive, got {memory}.")
+        check_counts(dim=dim)
+        if not (is_number(memory) or memory == math.inf) or memory <= 0:
+            raise ValueError(f"`memory` must be positive, got {memory!r}.")
         self.memory = memory
         self.register_buffer("mean", torch.zeros(dim))
         self.register_buffer("var", torch.ones(dim))
@@ -216,7 +220,7 @@ class Standardization(nn.Module):
 
     def __init__(self, *, weight: float, center: bool, scale: bool) -> None:
         super().__init__()
-        if not (math.isfinite(weight) and weight >= 0):
+        if not (is_number(weight) and weight >= 0):
             raise ValueError(f"`weight` must be finite and not negative, got {weight}.")
         self.weight = weight
         self.center = center

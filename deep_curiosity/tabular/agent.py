@@ -7,7 +7,7 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from deep_curiosity.tabular.checks import check_at_least
+from deep_curiosity.tabular.checks import check_at_least, check_index, checked
 from deep_curiosity.tabular.environments import FiniteMDP
 from deep_curiosity.tabular.estimators import ActionValues, Experience, Model, StateEstimate
 from deep_curiosity.tabular.iteration import Solution
@@ -27,16 +27,19 @@ class Learner(ABC):
         """Learns from one transition."""
 
 
+@checked
 def sample(probability: Float[np.ndarray, " outcomes"], rng: np.random.Generator) -> int:
     """Samples the index of an outcome."""
     cumulative = np.cumsum(probability)
     return int(np.searchsorted(cumulative, rng.random() * cumulative[-1], side="right"))
 
 
+@checked
 def run(
     learner: Learner, mdp: FiniteMDP, num_steps: int, rng: np.random.Generator
 ) -> list[Experience]:
     """Runs a learner in an environment and returns its transitions."""
+    check_at_least("num_steps", num_steps, 0)
     state, history = sample(mdp.start, rng), []
     for _ in range(num_steps):
         action = learner.act(state, rng)
@@ -55,11 +58,13 @@ class FixedPolicy(Learner):
         policy: The policy to follow.
     """
 
+    @checked
     def __init__(self, policy: Float[np.ndarray, "states actions"]) -> None:
         self.policy = policy
 
     def act(self, state: int, rng: np.random.Generator) -> int:
         """Samples an action."""
+        check_index("state", state, len(self.policy))
         return sample(self.policy[state], rng)
 
     def observe(self, experience: Experience) -> None:
@@ -87,6 +92,7 @@ class CuriousAgent(Learner):
         max_iterations: Largest number of updates at each temperature.
     """
 
+    @checked
     def __init__(
         self,
         model: Model,
@@ -143,6 +149,7 @@ class CuriousAgent(Learner):
 
     def act(self, state: int, rng: np.random.Generator) -> int:
         """Step 2(d): plans if a plan is due, and samples an action."""
+        check_index("state", state, len(self.log_policy))
         if self.step % self.period == 0:
             self.plan(state)
         return sample(self.policy[state], rng)

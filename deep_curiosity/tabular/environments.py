@@ -1,16 +1,19 @@
 """Finite environments: transitions `P[x, a, x']`, rewards `R[x, a]` and the initial states."""
 
 from dataclasses import dataclass
+from inspect import signature
 
 import numpy as np
 from jaxtyping import Float
 
 from deep_curiosity.tabular.checks import (
+    check_arguments,
     check_at_least,
     check_distribution,
     check_finite,
     check_range,
     check_shape,
+    checked,
 )
 
 STAY, FLIP = 0, 1  # the two actions of the reliable and the unreliable state
@@ -36,6 +39,7 @@ class FiniteMDP:
     discount: float = 0.95
 
     def __post_init__(self) -> None:
+        check_arguments(signature(FiniteMDP), vars(self))
         num_states, num_actions = self.transition.shape[:2]
         check_shape("transition", self.transition, (num_states, num_actions, num_states))
         check_shape("reward", self.reward, (num_states, num_actions))
@@ -56,6 +60,7 @@ class FiniteMDP:
         return self.transition.shape[1]
 
 
+@checked
 def clever_random(num_actions: int = 101) -> FiniteMDP:
     """Two states and actions on a grid in [0, 1]: action a flips the state with probability a.
 
@@ -67,6 +72,7 @@ def clever_random(num_actions: int = 101) -> FiniteMDP:
     return FiniteMDP(transition, np.zeros((2, num_actions)), np.full(2, 0.5))
 
 
+@checked
 def reliable_unreliable() -> FiniteMDP:
     """State 0 obeys STAY and FLIP; state 1 leads anywhere with one half, whatever the action.
 
@@ -76,6 +82,7 @@ def reliable_unreliable() -> FiniteMDP:
     return FiniteMDP(transition, np.zeros((2, 2)), np.full(2, 0.5))
 
 
+@checked
 def chain(num_states: int = 6, *, slip: float = 0.1, bait: float = 0.05) -> FiniteMDP:
     """A row of states: a small sure reward at the left end, a reward of 1 at the right end.
 
@@ -98,6 +105,7 @@ def chain(num_states: int = 6, *, slip: float = 0.1, bait: float = 0.05) -> Fini
     return FiniteMDP(transition, reward, np.eye(num_states)[0])
 
 
+@checked
 def grid_world(num_rows: int = 4, num_columns: int = 4, *, slip: float = 0.1) -> FiniteMDP:
     """A grid from the first corner to the last, where every action pays 1 and leads to the first.
 
@@ -122,10 +130,13 @@ def grid_world(num_rows: int = 4, num_columns: int = 4, *, slip: float = 0.1) ->
     return FiniteMDP(transition, reward, start)
 
 
+@checked
 def random_mdp(
     num_states: int, num_actions: int, rng: np.random.Generator, *, discount: float = 0.9
 ) -> FiniteMDP:
     """Draws every transition from a flat Dirichlet and every reward from a normal."""
+    check_at_least("num_states", num_states, 1)
+    check_at_least("num_actions", num_actions, 1)
     transition = rng.dirichlet(np.ones(num_states), size=(num_states, num_actions))
     reward = rng.normal(size=(num_states, num_actions))
     return FiniteMDP(transition, reward, rng.dirichlet(np.ones(num_states)), discount)

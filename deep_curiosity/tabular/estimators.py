@@ -9,8 +9,11 @@ from jaxtyping import Float
 from deep_curiosity.tabular.checks import (
     check_at_least,
     check_distribution,
+    check_index,
+    check_number,
     check_positive,
     check_range,
+    checked,
 )
 from deep_curiosity.tabular.environments import LARGEST_DISCOUNT, FiniteMDP
 from deep_curiosity.tabular.markov import action_values, propagate
@@ -23,6 +26,18 @@ class Experience(NamedTuple):
     action: int
     reward: float
     next_state: int
+
+
+def check_experience(experience: Experience, num_states: int, num_actions: int) -> None:
+    """Raises unless states and action are among those there are, and the reward is finite."""
+    if not isinstance(experience, Experience):
+        raise TypeError(f"`experience` must be an Experience, got {experience!r}.")
+    check_index("state", experience.state, num_states)
+    check_index("action", experience.action, num_actions)
+    check_index("next_state", experience.next_state, num_states)
+    check_number("reward", experience.reward)
+    if not np.isfinite(experience.reward):
+        raise ValueError(f"`reward` must be finite, got {experience.reward}.")
 
 
 class Model(ABC):
@@ -46,6 +61,7 @@ class Model(ABC):
 class ExactModel(Model):
     """The true transitions and rewards, with nothing to learn."""
 
+    @checked
     def __init__(self, mdp: FiniteMDP) -> None:
         self.mdp = mdp
 
@@ -76,6 +92,7 @@ class CountedModel(Model):
         pseudo_count: Imagined visits to every next state, each with reward zero.
     """
 
+    @checked
     def __init__(self, num_states: int, num_actions: int, *, pseudo_count: float = 0.01) -> None:
         check_at_least("num_states", num_states, 1)
         check_at_least("num_actions", num_actions, 1)
@@ -95,6 +112,7 @@ class CountedModel(Model):
 
     def observe(self, experience: Experience) -> None:
         """Counts one transition."""
+        check_experience(experience, *self.counts.shape[:2])
         state, action, reward, next_state = experience
         self.counts[state, action, next_state] += 1
         self.reward_sum[state, action] += reward
@@ -125,6 +143,7 @@ class PropagatedStates(StateEstimate):
         start: Distribution of the first state.
     """
 
+    @checked
     def __init__(self, start: Float[np.ndarray, " states"]) -> None:
         check_distribution("start", start)
         self.present = start
@@ -151,6 +170,7 @@ class VisitedStates(StateEstimate):
         num_states: Number of states.
     """
 
+    @checked
     def __init__(self, num_states: int) -> None:
         check_at_least("num_states", num_states, 1)
         self.visits = np.full(num_states, 1 / num_states)
@@ -167,6 +187,7 @@ class VisitedStates(StateEstimate):
         policy: Float[np.ndarray, "states actions"],
     ) -> None:
         """Counts the state that was left; model and policy are not used."""
+        check_index("state", experience.state, len(self.visits))
         self.visits[experience.state] += 1
 
 
@@ -189,6 +210,7 @@ class ExactValues(ActionValues):
         discount: Discount of the return.
     """
 
+    @checked
     def __init__(self, discount: float) -> None:
         check_range("discount", discount, 0.0, LARGEST_DISCOUNT)
         self.discount = discount
@@ -210,7 +232,10 @@ class TemporalDifference(ActionValues):
         discount: Discount of the return.
     """
 
+    @checked
     def __init__(self, num_states: int, num_actions: int, discount: float) -> None:
+        check_at_least("num_states", num_states, 1)
+        check_at_least("num_actions", num_actions, 1)
         check_range("discount", discount, 0.0, LARGEST_DISCOUNT)
         self.discount = discount
         self.action_value = np.zeros((num_states, num_actions))
@@ -234,6 +259,7 @@ class Sarsa(TemporalDifference):
 
     def observe(self, experience: Experience) -> None:
         """Learns from the previous transition with this action, and keeps this transition."""
+        check_experience(experience, *self.action_value.shape)
         if self.unfinished is not None:
             state, action, reward, _ = self.unfinished
             next_value = self.action_value[experience.state, experience.action]
@@ -246,5 +272,6 @@ class QLearning(TemporalDifference):
 
     def observe(self, experience: Experience) -> None:
         """Learns from one transition."""
+        check_experience(experience, *self.action_value.shape)
         state, action, reward, next_state = experience
         self.learn(state, action, reward + self.discount * self.action_value[next_state].max())

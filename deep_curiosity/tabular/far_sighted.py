@@ -3,12 +3,13 @@
 import numpy as np
 from jaxtyping import Float
 
-from deep_curiosity.tabular.checks import check_range
+from deep_curiosity.tabular.checks import check_range, checked
 from deep_curiosity.tabular.markov import limiting_matrix, state_chain
 
 LARGEST_DIVERGENCE = -float(np.log(np.finfo(float).tiny))  # nats, where the marginal is zero
 
 
+@checked
 def curiosity_values(
     transition: Float[np.ndarray, "states actions next_states"],
     divergence: Float[np.ndarray, "states actions"],

@@ -3,33 +3,41 @@
 import numpy as np
 from jaxtyping import Float
 
+from deep_curiosity.tabular.checks import check_fits, checked
+
 NATS_PER_BIT = float(np.log(2))
 
 
+@checked
 def to_bits(nats: float) -> float:
     """Converts nats to bits."""
     return nats / NATS_PER_BIT
 
 
+@checked
 def to_nats(bits: float) -> float:
     """Converts bits to nats."""
     return bits * NATS_PER_BIT
 
 
+@checked
 def safe_log(probability: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
     """Logarithm that is minus infinity at zero, without a warning."""
     return np.log(probability, where=probability > 0, out=np.full(probability.shape, -np.inf))
 
 
+@checked
 def weighted_sum(
     probability: Float[np.ndarray, "*batch outcomes"], value: Float[np.ndarray, "*rest outcomes"]
 ) -> Float[np.ndarray, "*batch"]:
     """Expectation over the last axis in which zero times infinity is zero."""
+    check_fits("value", value, probability)
     product = np.zeros(np.broadcast_shapes(probability.shape, value.shape))
     np.multiply(probability, value, where=probability > 0, out=product)
     return np.asarray(product.sum(-1))
 
 
+@checked
 def entropy(probability: Float[np.ndarray, "*batch outcomes"]) -> Float[np.ndarray, "*batch"]:
     """Shannon entropy along the last axis, in nats.
 
@@ -40,6 +48,7 @@ def entropy(probability: Float[np.ndarray, "*batch outcomes"]) -> Float[np.ndarr
     return weighted_sum(probability, -safe_log(probability))
 
 
+@checked
 def kl_divergence(
     probability: Float[np.ndarray, "*batch outcomes"],
     log_reference: Float[np.ndarray, "*rest outcomes"],
@@ -52,11 +61,13 @@ def kl_divergence(
         probability: The distribution that is true.
         log_reference: Log of the distribution compared with, broadcast against the first.
     """
+    check_fits("log_reference", log_reference, probability)
     log_ratio = np.zeros(np.broadcast_shapes(probability.shape, log_reference.shape))
     np.subtract(safe_log(probability), log_reference, where=probability > 0, out=log_ratio)
     return weighted_sum(probability, log_ratio)
 
 
+@checked
 def mutual_information(
     distribution: Float[np.ndarray, " inputs"], channel: Float[np.ndarray, "inputs outputs"]
 ) -> float:
@@ -68,6 +79,7 @@ def mutual_information(
     return float(weighted_sum(distribution, kl_divergence(channel, log_marginal)))
 
 
+@checked
 def action_information(
     policy: Float[np.ndarray, "states actions"], state_distribution: Float[np.ndarray, " states"]
 ) -> float:
@@ -75,6 +87,7 @@ def action_information(
     return mutual_information(state_distribution, policy)
 
 
+@checked
 def predictive_information(
     transition: Float[np.ndarray, "states actions next_states"],
     policy: Float[np.ndarray, "states actions"],
@@ -85,6 +98,7 @@ def predictive_information(
     return mutual_information(joint.ravel(), transition.reshape(joint.size, -1))
 
 
+@checked
 def state_predictive_information(
     transition: Float[np.ndarray, "states actions next_states"],
     policy: Float[np.ndarray, "states actions"],
@@ -94,6 +108,7 @@ def state_predictive_information(
     return mutual_information(state_distribution, np.einsum("xa,xay->xy", policy, transition))
 
 
+@checked
 def log_action_marginal(
     log_policy: Float[np.ndarray, "states actions"],
     state_distribution: Float[np.ndarray, " states"],
@@ -102,6 +117,7 @@ def log_action_marginal(
     return np.logaddexp.reduce(safe_log(state_distribution)[:, None] + log_policy, axis=0)
 
 
+@checked
 def log_next_state_marginal(
     transition: Float[np.ndarray, "states actions next_states"],
     log_policy: Float[np.ndarray, "states actions"],
@@ -113,6 +129,7 @@ def log_next_state_marginal(
     return np.logaddexp.reduce(log_joint, axis=(0, 1))
 
 
+@checked
 def curiosity(
     transition: Float[np.ndarray, "states actions next_states"],
     log_marginal: Float[np.ndarray, " next_states"],

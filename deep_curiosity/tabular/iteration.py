@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from jaxtyping import Float
 
-from deep_curiosity.tabular.checks import check_at_least, check_positive, check_range
+from deep_curiosity.tabular.checks import check_at_least, check_positive, check_range, checked
 from deep_curiosity.tabular.policies import normalize_log
 
 LONGEST_CYCLE = 8  # number of policies kept to recognise a cycle
@@ -36,6 +36,7 @@ class Solution:
         return np.exp(self.log_policy)
 
 
+@checked
 def safe_damping(temperature: float) -> float:
     r"""Largest damping that provably never lowers the objective (16) of one time step.
 
@@ -48,6 +49,7 @@ def safe_damping(temperature: float) -> float:
     return temperature / (1 + temperature)
 
 
+@checked
 def damp(
     log_policy: Float[np.ndarray, "states actions"],
     target: Float[np.ndarray, "states actions"],
@@ -67,6 +69,7 @@ def turns_back(recent: deque[np.ndarray]) -> bool:
     return float(np.sum((last - middle) * (middle - first))) < 0
 
 
+@checked
 def iterate(
     step: Callable[[np.ndarray], tuple[np.ndarray, float]],
     log_policy: Float[np.ndarray, "states actions"],

@@ -3,12 +3,13 @@
 import numpy as np
 from jaxtyping import Float
 
-from deep_curiosity.tabular.checks import check_positive, check_range
+from deep_curiosity.tabular.checks import check_positive, check_range, check_shape, checked
 from deep_curiosity.tabular.environments import LARGEST_DISCOUNT
 
 SMALLEST_CHANGE = 1e-15  # states that leak less than this a step count as closed
 
 
+@checked
 def state_chain(
     transition: Float[np.ndarray, "states actions next_states"],
     policy: Float[np.ndarray, "states actions"],
@@ -17,6 +18,7 @@ def state_chain(
     return np.einsum("xa,xay->xy", policy, transition)
 
 
+@checked
 def propagate(
     state_distribution: Float[np.ndarray, " states"],
     transition: Float[np.ndarray, "states actions next_states"],
@@ -26,6 +28,7 @@ def propagate(
     return state_distribution @ state_chain(transition, policy)
 
 
+@checked
 def limiting_matrix(
     chain: Float[np.ndarray, "states next_states"],
 ) -> Float[np.ndarray, "states next_states"]:
@@ -34,6 +37,7 @@ def limiting_matrix(
     Squares the lazy chain, which has the same limit and no period, so closed classes and cycles
     need no special case.
     """
+    check_shape("chain", chain, (len(chain), len(chain)))
     power, change = (np.eye(len(chain)) + chain) / 2, np.inf
     while change > SMALLEST_CHANGE:
         squared = power @ power
@@ -42,6 +46,7 @@ def limiting_matrix(
     return power
 
 
+@checked
 def stationary_distribution(
     transition: Float[np.ndarray, "states actions next_states"],
     policy: Float[np.ndarray, "states actions"],
@@ -51,6 +56,7 @@ def stationary_distribution(
     return start @ limiting_matrix(state_chain(transition, policy))
 
 
+@checked
 def action_values(
     transition: Float[np.ndarray, "states actions next_states"],
     reward: Float[np.ndarray, "states actions"],
@@ -59,11 +65,13 @@ def action_values(
 ) -> Float[np.ndarray, "states actions"]:
     """Action values Q of a policy (1), by one linear solve."""
     check_range("discount", discount, 0.0, LARGEST_DISCOUNT)
+    check_shape("transition", transition, (*reward.shape, len(reward)))
     resolvent = np.eye(len(policy)) - discount * state_chain(transition, policy)
     value = np.linalg.solve(resolvent, np.einsum("xa,xa->x", policy, reward))
     return reward + discount * transition @ value
 
 
+@checked
 def expected_return(
     state_distribution: Float[np.ndarray, " states"],
     policy: Float[np.ndarray, "states actions"],
@@ -73,6 +81,7 @@ def expected_return(
     return float(np.einsum("x,xa,xa->", state_distribution, policy, action_value))
 
 
+@checked
 def optimal_action_values(
     transition: Float[np.ndarray, "states actions next_states"],
     reward: Float[np.ndarray, "states actions"],
@@ -83,6 +92,7 @@ def optimal_action_values(
     """Action values of the best policy, by value iteration to within `tolerance`."""
     check_range("discount", discount, 0.0, LARGEST_DISCOUNT)
     check_positive("tolerance", tolerance)
+    check_shape("transition", transition, (*reward.shape, len(reward)))
     action_value, error = reward, np.inf
     while error > tolerance * (1 - discount):
         updated = reward + discount * transition @ action_value.max(-1)

@@ -7,9 +7,11 @@ from deep_curiosity.tabular.agent import Learner, sample
 from deep_curiosity.tabular.checks import (
     check_at_least,
     check_distribution,
+    check_index,
     check_positive,
     check_range,
     check_shape,
+    checked,
 )
 from deep_curiosity.tabular.environments import FiniteMDP
 from deep_curiosity.tabular.estimators import CountedModel, Experience, QLearning
@@ -46,6 +48,7 @@ class EpsilonGreedy(Learner):
     Reference: Sutton & Barto, "Reinforcement Learning" (1998).
     """
 
+    @checked
     def __init__(
         self, num_states: int, num_actions: int, *, discount: float, epsilon: float = 0.1
     ) -> None:
@@ -60,6 +63,7 @@ class EpsilonGreedy(Learner):
 
     def act(self, state: int, rng: np.random.Generator) -> int:
         """Samples an action."""
+        check_index("state", state, len(self.policy))
         return sample(self.policy[state], rng)
 
     def observe(self, experience: Experience) -> None:
@@ -80,6 +84,7 @@ class PredictionErrorCuriosity(EpsilonGreedy):
     model-building neural controllers" (1991).
     """
 
+    @checked
     def __init__(
         self, num_states: int, num_actions: int, *, discount: float, epsilon: float = 0.1
     ) -> None:
@@ -107,6 +112,7 @@ class RMax(Learner):
     Reference: Brafman & Tennenholtz, "R-MAX" (2002).
     """
 
+    @checked
     def __init__(
         self,
         num_states: int,
@@ -138,6 +144,7 @@ class RMax(Learner):
 
     def act(self, state: int, rng: np.random.Generator) -> int:
         """Samples one of the best actions."""
+        check_index("state", state, len(self.policy))
         return sample(self.policy[state], rng)
 
     def observe(self, experience: Experience) -> None:
@@ -148,6 +155,7 @@ class RMax(Learner):
             self.plan()
 
 
+@checked
 def information_to_go(
     mdp: FiniteMDP,
     state_distribution: Float[np.ndarray, " states"],
@@ -189,6 +197,7 @@ def information_to_go(
     return log_policy
 
 
+@checked
 def dynamic_policy_programming(
     mdp: FiniteMDP, *, temperature: float, num_iterations: int = 1_000
 ) -> Float[np.ndarray, "states actions"]:
@@ -217,6 +226,7 @@ def dynamic_policy_programming(
     return boltzmann(preference, temperature)
 
 
+@checked
 def predictive_states(
     mdp: FiniteMDP,
     log_policy: Float[np.ndarray, "states actions"],
@@ -239,6 +249,7 @@ def predictive_states(
     Reference: Ay et al., "Predictive information and explorative behavior of autonomous
     robots" (2008).
     """
+    check_shape("log_policy", log_policy, mdp.reward.shape)
     log_transition = safe_log(mdp.transition)
 
     def step(log_policy: np.ndarray) -> tuple[np.ndarray, float]:

@@ -3,12 +3,13 @@
 import numpy as np
 from jaxtyping import Float
 
-from deep_curiosity.tabular.checks import check_positive, check_range
+from deep_curiosity.tabular.checks import check_at_least, check_positive, check_range, checked
 
 UNIFORM_SHARE = 1e-3  # probability divided over all actions
 TIE_TOLERANCE = 1e-9  # scores are sums of logs, exact to about 1e-13 of their size
 
 
+@checked
 def normalize_log(
     log_weight: Float[np.ndarray, "*batch actions"],
 ) -> Float[np.ndarray, "*batch actions"]:
@@ -16,18 +17,25 @@ def normalize_log(
     return log_weight - np.logaddexp.reduce(log_weight, axis=-1, keepdims=True)
 
 
+@checked
 def uniform_log_policy(num_states: int, num_actions: int) -> Float[np.ndarray, "states actions"]:
     """Log of the uniform policy."""
+    check_at_least("num_states", num_states, 1)
+    check_at_least("num_actions", num_actions, 1)
     return np.full((num_states, num_actions), -np.log(num_actions))
 
 
+@checked
 def random_log_policy(
     num_states: int, num_actions: int, rng: np.random.Generator
 ) -> Float[np.ndarray, "states actions"]:
     """Log of a policy sampled from a flat Dirichlet in every state."""
+    check_at_least("num_states", num_states, 1)
+    check_at_least("num_actions", num_actions, 1)
     return np.log(rng.dirichlet(np.ones(num_actions), size=num_states))
 
 
+@checked
 def mix_uniform(
     log_policy: Float[np.ndarray, "states actions"],
 ) -> Float[np.ndarray, "states actions"]:
@@ -36,6 +44,7 @@ def mix_uniform(
     return normalize_log(np.logaddexp(log_policy, share))
 
 
+@checked
 def information_limited(
     log_prior: Float[np.ndarray, " actions"],
     score: Float[np.ndarray, "states actions"],
@@ -58,6 +67,7 @@ def information_limited(
     return normalize_log(log_prior + tilt)
 
 
+@checked
 def boltzmann(
     score: Float[np.ndarray, "states actions"], temperature: float
 ) -> Float[np.ndarray, "states actions"]:
@@ -66,6 +76,7 @@ def boltzmann(
     return normalize_log(score / temperature)
 
 
+@checked
 def greedy(score: Float[np.ndarray, "states actions"]) -> Float[np.ndarray, "states actions"]:
     """Deterministic limits (15) and (22): the best action, ties shared equally."""
     best = score.max(-1, keepdims=True)
@@ -73,6 +84,7 @@ def greedy(score: Float[np.ndarray, "states actions"]) -> Float[np.ndarray, "sta
     return chosen / chosen.sum(-1, keepdims=True)
 
 
+@checked
 def epsilon_greedy(
     score: Float[np.ndarray, "states actions"], epsilon: float
 ) -> Float[np.ndarray, "states actions"]:

@@ -9,8 +9,10 @@ from jaxtyping import Float
 from deep_curiosity.tabular.checks import (
     check_distribution,
     check_finite,
+    check_positive,
     check_range,
     check_shape,
+    checked,
 )
 from deep_curiosity.tabular.information import (
     action_information,
@@ -42,6 +44,7 @@ class RatePoint(NamedTuple):
     policy: Float[np.ndarray, "states actions"]
 
 
+@checked
 def solve_rate_limited(
     action_value: Float[np.ndarray, "states actions"],
     state_distribution: Float[np.ndarray, " states"],
@@ -76,6 +79,7 @@ def solve_rate_limited(
     )
 
 
+@checked
 def rate_point(
     action_value: Float[np.ndarray, "states actions"],
     state_distribution: Float[np.ndarray, " states"],
@@ -88,15 +92,20 @@ def rate_point(
     return RatePoint(temperature, rate, value, policy)
 
 
+@checked
 def rate_return_curve(
     action_value: Float[np.ndarray, "states actions"],
     state_distribution: Float[np.ndarray, " states"],
     temperatures: Iterable[float],
 ) -> list[RatePoint]:
     """The rate-return curve, one point for each slope: concave, rising to the best return."""
+    temperatures = [*temperatures]
+    for temperature in temperatures:
+        check_positive("temperatures", temperature)
     return [rate_point(action_value, state_distribution, float(t)) for t in temperatures]
 
 
+@checked
 def largest_return(
     action_value: Float[np.ndarray, "states actions"],
     state_distribution: Float[np.ndarray, " states"],
@@ -130,6 +139,7 @@ def largest_return(
     return best
 
 
+@checked
 def zero_rate_point(
     action_value: Float[np.ndarray, "states actions"],
     state_distribution: Float[np.ndarray, " states"],

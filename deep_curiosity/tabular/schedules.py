@@ -5,7 +5,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from deep_curiosity.tabular.checks import check_positive, check_range
+from deep_curiosity.tabular.checks import check_positive, check_range, checked
 
 Setting = TypeVar("Setting", float, np.ndarray)
 
@@ -15,6 +15,7 @@ def fixed(setting: Setting) -> Callable[[int], Setting]:
     return lambda step: setting
 
 
+@checked
 def decreasing(first: float, factor: float, least: float = 0.0) -> Callable[[int], float]:
     """Geometric decrease to a lower bound: lambda(t) down to lambda_min.
 

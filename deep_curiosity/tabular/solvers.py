@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterable
 import numpy as np
 from jaxtyping import Bool, Float
 
-from deep_curiosity.tabular.checks import check_distribution, check_shape
+from deep_curiosity.tabular.checks import check_distribution, check_shape, checked
 from deep_curiosity.tabular.environments import FiniteMDP
 from deep_curiosity.tabular.far_sighted import curiosity_values
 from deep_curiosity.tabular.information import (
@@ -26,6 +26,7 @@ from deep_curiosity.tabular.markov import (
 from deep_curiosity.tabular.policies import information_limited, mix_uniform, uniform_log_policy
 
 
+@checked
 def curious_objective(
     transition: Float[np.ndarray, "states actions next_states"],
     policy: Float[np.ndarray, "states actions"],
@@ -50,6 +51,7 @@ def curious_objective(
     )
 
 
+@checked
 def curious_score(
     transition: Float[np.ndarray, "states actions next_states"],
     log_policy: Float[np.ndarray, "states actions"],
@@ -62,6 +64,7 @@ def curious_score(
     return curiosity_values(transition, divergence, np.exp(log_policy), curiosity_discount)
 
 
+@checked
 def curious_step(
     transition: Float[np.ndarray, "states actions next_states"],
     log_policy: Float[np.ndarray, "states actions"],
@@ -86,6 +89,7 @@ def curious_step(
     return information_limited(log_prior, score + weighted_value, temperature), objective
 
 
+@checked
 def maximize(
     states_and_values: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]],
     transition: Float[np.ndarray, "states actions next_states"],
@@ -117,6 +121,7 @@ def maximize(
     )
 
 
+@checked
 def solve_time_step(
     transition: Float[np.ndarray, "states actions next_states"],
     log_policy: Float[np.ndarray, "states actions"],
@@ -163,6 +168,7 @@ def solve_time_step(
     )
 
 
+@checked
 def solve_stationary(
     mdp: FiniteMDP,
     log_policy: Float[np.ndarray, "states actions"] | None = None,
@@ -208,6 +214,7 @@ def solve_stationary(
     )
 
 
+@checked
 def anneal(
     solve: Callable[[Float[np.ndarray, "states actions"], float], Solution],
     log_policy: Float[np.ndarray, "states actions"],

@@ -11,8 +11,8 @@ from deep_curiosity.bonuses.base import Bonus, Policy
 from deep_curiosity.nn.statistics import Every, RunningMoments, Standardization
 from deep_curiosity.transitions import (
     Transition,
-    check_batch,
     check_counts,
+    check_inputs,
     check_transition,
     every_second,
 )
@@ -77,13 +77,20 @@ class BaselineBonus(Bonus):
         """Weighted, standardised score of each pair; changes no state.
 
         Raises:
-            ValueError: If `next_observation` is missing where outcomes are scored.
+            TypeError: If an argument has the wrong kind.
+            ValueError: If `next_observation` is missing where outcomes are scored, or an argument
+                has the wrong shape, another batch size, or a value that is not finite or beyond
+                1e14.
         """
-        check_batch("observation", observation, self.observation_dim, self._dtype)
-        check_batch("action", action, self.action_dim, self._dtype)
-        if next_observation is not None:
-            check_batch("next_observation", next_observation, self.observation_dim, self._dtype)
-        elif self.scores_outcomes:
+        inputs = {
+            "observation": (observation, self.observation_dim),
+            "action": (action, self.action_dim),
+            "next_observation": (next_observation, self.observation_dim),
+        }
+        if next_observation is None:
+            del inputs["next_observation"]
+        check_inputs(self._dtype, **inputs)
+        if next_observation is None and self.scores_outcomes:
             raise ValueError(
                 f"`next_observation` must be given to a {type(self).__name__}, which scores what "
                 "has happened, got None."

@@ -1,11 +1,13 @@
 """The control: a bonus without information."""
 
+from typing import Any
+
 import torch
 from jaxtyping import Float
 from torch import Tensor
 
 from deep_curiosity.bonuses.base import Bonus, Policy
-from deep_curiosity.transitions import Transition
+from deep_curiosity.transitions import Transition, check_inputs, check_transition_kind, is_number
 
 
 class ConstantBonus(Bonus):
@@ -19,7 +21,9 @@ class ConstantBonus(Bonus):
 
     def __init__(self, value: float) -> None:
         super().__init__()
-        self.register_buffer("value", torch.tensor(value))
+        if not is_number(value):
+            raise ValueError(f"`value` must be a finite number, got {value!r}.")
+        self.register_buffer("value", torch.tensor(float(value)))
 
     def forward(
         self,
@@ -28,10 +32,15 @@ class ConstantBonus(Bonus):
         next_observation: Float[Tensor, "batch observation_dim"] | None = None,
     ) -> Float[Tensor, " batch"]:
         """The value, whatever the pair."""
+        pair = {"observation": observation, "action": action}
+        check_inputs(
+            self.value.dtype, **{key: (value, _length(value)) for key, value in pair.items()}
+        )
         return self.value.expand(observation.shape[0])
 
     def loss(self, transition: Transition) -> Float[Tensor, ""]:
         """Zero: there is nothing to learn."""
+        check_transition_kind(transition)
         return self.value.new_zeros((), requires_grad=True)
 
     def observe(
@@ -50,3 +59,8 @@ class ConstantBonus(Bonus):
     def metrics(self) -> dict[str, Tensor]:
         """Nothing to log."""
         return {}
+
+
+def _length(value: Any) -> int:
+    """Length of the vectors of a batch, whatever it is: a constant has none of its own."""
+    return value.shape[-1] if isinstance(value, Tensor) and value.ndim else 0

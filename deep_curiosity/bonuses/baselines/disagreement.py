@@ -10,7 +10,7 @@ from deep_curiosity.bonuses.base import Policy
 from deep_curiosity.bonuses.baselines.base import BaselineBonus, log_of_score
 from deep_curiosity.nn.networks import StackedMLP, frozen
 from deep_curiosity.nn.statistics import RunningMoments
-from deep_curiosity.transitions import Transition
+from deep_curiosity.transitions import Transition, check_counts
 
 
 class PointEnsemble(nn.Module):
@@ -30,6 +30,7 @@ class PointEnsemble(nn.Module):
         self, in_features: int, out_features: int, *, num_members: int, hidden_dims: Sequence[int]
     ) -> None:
         super().__init__()
+        check_counts(num_members=num_members)
         if num_members < 2:
             raise ValueError(
                 f"`num_members` must be at least 2 to measure disagreement, got {num_members}."

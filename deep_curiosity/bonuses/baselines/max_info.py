@@ -10,7 +10,7 @@ from deep_curiosity.bonuses.base import Policy
 from deep_curiosity.bonuses.baselines.base import BaselineBonus
 from deep_curiosity.bonuses.baselines.disagreement import PointEnsemble, change_of
 from deep_curiosity.bonuses.weight_tuning import TunedWeight
-from deep_curiosity.transitions import Transition
+from deep_curiosity.transitions import Transition, is_number
 
 
 class InformationGainBonus(BaselineBonus):
@@ -65,7 +65,7 @@ class InformationGainBonus(BaselineBonus):
             scale=scale,
             refresh_interval=refresh_interval,
         )
-        if not 0 < noise_std < float("inf"):
+        if not (is_number(noise_std) and noise_std > 0):
             raise ValueError(f"`noise_std` must be positive and finite, got {noise_std}.")
         self.noise_std = noise_std
         self.tune_weight = tune_weight

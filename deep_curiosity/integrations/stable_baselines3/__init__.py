@@ -1,4 +1,7 @@
-"""Curiosity for the agents of Stable-Baselines3: a buffer class to hand in, and a callback."""
+"""Curiosity for the agents of Stable-Baselines3: a buffer class to hand in, and a callback.
+
+Models and buffers are saved and loaded by the library's `pickle`: load only files that you trust.
+"""
 # ruff: noqa: E402
 
 from deep_curiosity.integrations.requirements import require, warn_if_untested

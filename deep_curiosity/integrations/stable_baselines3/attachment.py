@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from copy import deepcopy
+from inspect import signature
 from typing import Any
 
 import torch
@@ -17,6 +18,11 @@ from deep_curiosity.transitions import Transition
 
 Actor = Callable[[PyTorchObs], Tensor]
 """Samples actions in [-1, 1] for observations as the agent's own networks take them."""
+
+GIVEN_BY_AGENT = {
+    "self", "buffer_size", "observation_space", "action_space", "device", "n_envs",
+}  # fmt: skip
+"""Parameters of buffers that are no options of theirs."""
 
 
 class BonusAttachment:
@@ -106,12 +112,36 @@ class BonusAttachment:
         return self.__dict__ | cpu | {"learner": learner, "actor": None}
 
 
+def check_known(options: Mapping[str, Any], buffer_class: type) -> None:
+    """Reject options that neither the bonus nor a buffer has.
+
+    Raises:
+        TypeError: Naming the option and all that there are.
+    """
+    own = {"bonus", "bonus_kwargs", "learning_rate", "update_interval", "observation_key"}
+    bases = [vars(base)["__init__"] for base in buffer_class.__mro__ if "__init__" in vars(base)]
+    of_buffers = {
+        name
+        for init in bases
+        for name, parameter in signature(init).parameters.items()
+        if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY)
+    }
+    known = (own | of_buffers) - GIVEN_BY_AGENT
+    for name, value in options.items():
+        if name not in known:
+            raise TypeError(
+                f"`{name}` must be one of the options {', '.join(sorted(known))}, got {value!r}."
+            )
+
+
 def _find_bonus(
     bonus: str | Bonus,
     observation_dim: int,
     action_dim: int,
     options: Mapping[str, Any] | None,
 ) -> Bonus:
+    if options is not None and not isinstance(options, Mapping):
+        raise TypeError(f"`bonus_kwargs` must map settings to their values, got {options!r}.")
     if isinstance(bonus, str):
         return make_bonus(bonus, observation_dim, action_dim, **(options or {}))
     if not isinstance(bonus, Bonus):

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,11 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.type_aliases import PyTorchObs
 from torch import Tensor, nn
 
+from deep_curiosity.integrations.stable_baselines3.normalization import (
+    check_order,
+    end_of,
+    keep_raw_ends,
+)
 from deep_curiosity.integrations.stable_baselines3.replay import (
     CuriousNStepReplayBuffer,
     CuriousReplayBuffer,
@@ -22,8 +28,9 @@ class CuriosityCallback(BaseCallback):
     """Gives the bonus fresh actions of the agent, and logs the bonus under `curiosity/`.
 
     For SAC and its kin it may be left out: the bonus then takes a batch's own actions for what the
-    agent would do now, and nothing is logged. For PPO and A2C it must be there, since only it is
-    given the true next observation where an episode ended.
+    agent would do now, and nothing is logged. It must be there where `VecNormalize` clips the end
+    of an episode, which only it keeps; and for PPO and A2C, since only it is given the true next
+    observation where an episode ended.
 
     Args:
         log_interval: Least number of environment steps from one record to the next. What is
@@ -32,7 +39,8 @@ class CuriosityCallback(BaseCallback):
     Raises:
         TypeError: When learning starts, if the agent has no curious buffer.
         ValueError: If the interval is below 1, or, when learning starts, if a buffer of several
-            steps has another discount than its agent.
+            steps has another discount than its agent, or something above `VecNormalize` changes
+            observations.
     """
 
     def __init__(self, log_interval: int = 1_000) -> None:
@@ -45,8 +53,10 @@ class CuriosityCallback(BaseCallback):
     def _on_training_start(self) -> None:
         self._next_record = self.num_timesteps
         buffer = self._buffer
+        check_order(self.training_env, buffer.attachment.observation_key)
+        keep_raw_ends(self.training_env)
         if isinstance(buffer, CuriousRolloutBuffer):
-            self._observation = self._raw(self.model._last_obs)
+            self._observation = deepcopy(self._raw(self.model._last_obs))
         else:
             self._check_discount(buffer)
             buffer.attachment.actor = self._act
@@ -101,20 +111,16 @@ class CuriosityCallback(BaseCallback):
         select = buffer.attachment.select_observation
         final = np.array(select(next_observation))
         for index in np.flatnonzero(done):  # the environment has been reset since
-            final[index] = select(self._unnormalized(infos[index]["terminal_observation"]))
+            final[index] = select(end_of(infos[index]))
         timeout = np.array([info.get("TimeLimit.truncated", False) for info in infos])
         actions = self.locals["clipped_actions"]
         buffer.record(select(self._observation), actions, self._raw_reward(), final, done, timeout)
-        self._observation = next_observation
+        self._observation = deepcopy(next_observation)  # some environments go on to change it
 
     def _raw(self, observation: Any) -> Any:
         """The newest observation, in the units of the environment."""
         normalize = self.model.get_vec_normalize_env()
         return observation if normalize is None else normalize.get_original_obs()
-
-    def _unnormalized(self, observation: Any) -> Any:
-        normalize = self.model.get_vec_normalize_env()
-        return observation if normalize is None else normalize.unnormalize_obs(observation)
 
     def _raw_reward(self) -> np.ndarray:
         normalize = self.model.get_vec_normalize_env()

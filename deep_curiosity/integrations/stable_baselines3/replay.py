@@ -1,6 +1,6 @@
 """Replay buffers whose samples carry a fresh bonus, for SAC, TD3, DDPG, TQC and CrossQ."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -12,13 +12,17 @@ from stable_baselines3.common.vec_env import VecNormalize
 from torch import Tensor
 
 from deep_curiosity.bonuses.base import Bonus
-from deep_curiosity.integrations.stable_baselines3.attachment import BonusAttachment
+from deep_curiosity.integrations.stable_baselines3.attachment import BonusAttachment, check_known
+from deep_curiosity.integrations.stable_baselines3.normalization import RAW_END, is_clipped
 from deep_curiosity.integrations.stable_baselines3.spaces import batch_of, mask_of
 from deep_curiosity.transitions import Transition
 
 
 class CuriousReplayBuffer(ReplayBuffer):
     """A replay buffer that adds a bonus to the rewards of every batch, when it is sampled.
+
+    The library saves and loads it with the bonus by `pickle`, which runs what it finds: load only
+    files that you trust.
 
     Each call of `sample` shows the batch to the bonus, lets it learn at its own pace and then
     computes it, so that no bonus is ever older than the batch. Stored rewards stay those of the
@@ -39,7 +43,7 @@ class CuriousReplayBuffer(ReplayBuffer):
         **options: Of the buffer that this one extends.
 
     Raises:
-        TypeError: If `bonus` is neither a name nor a bonus.
+        TypeError: If `bonus` is neither a name nor a bonus, or there is no such option or setting.
         ValueError: If the spaces hold no vectors, or an option is out of range or out of place.
     """
 
@@ -68,6 +72,12 @@ class CuriousReplayBuffer(ReplayBuffer):
                 "`optimize_memory_usage` must be False, got True: it overwrites the next "
                 "observation of the last step of an episode, from which the bonus would learn."
             )
+        if not options.get("handle_timeout_termination", True):
+            raise ValueError(
+                "`handle_timeout_termination` must be True, got False: what a clock cuts off "
+                "would be stored as if it had terminated."
+            )
+        check_known(options, type(self))
         self.attachment = BonusAttachment(
             observation_space,
             action_space,
@@ -77,6 +87,7 @@ class CuriousReplayBuffer(ReplayBuffer):
             update_interval=update_interval,
             observation_key=observation_key,
         )
+        self._normalized_ends: list[Any] = []
         super().__init__(
             buffer_size, observation_space, action_space, device, n_envs=n_envs, **options
         )
@@ -85,6 +96,53 @@ class CuriousReplayBuffer(ReplayBuffer):
     def bonus(self) -> Bonus:
         """The bonus in use."""
         return self.attachment.learner.bonus
+
+    def add(
+        self,
+        obs: Any,
+        next_obs: Any,
+        action: np.ndarray,
+        reward: np.ndarray,
+        done: np.ndarray,
+        infos: Sequence[dict[str, Any]],
+    ) -> None:
+        """Store a step of all environments; the agent calls this.
+
+        Raises:
+            ValueError: If a wrapper above `VecNormalize` changes observations.
+        """
+        self._check_shape(obs)
+        for index in map(int, np.flatnonzero(done)):
+            info = infos[index]
+            if RAW_END in info:
+                _write(next_obs, index, info[RAW_END])
+            elif "terminal_observation" in info:
+                self._normalized_ends.append(info["terminal_observation"])
+        super().add(obs, next_obs, action, reward, done, list(infos))
+
+    def _check_shape(self, observation: Any) -> None:
+        """Reject what `VecNormalize` has kept for an agent that observes something else."""
+        select = self.attachment.select_observation
+        expected, got = select(self.observations).shape[1:], np.shape(select(observation))
+        if got != expected:
+            raise ValueError(
+                f"`env` must give raw observations of shape {expected}, got {got}: VecNormalize "
+                "must be above all that changes observations, as in "
+                "VecNormalize(VecFrameStack(...))."
+            )
+
+    def _check_ends(self, normalize: VecNormalize | None) -> None:
+        """Reject ends of episodes that are known only as `VecNormalize` has clipped them."""
+        ends, self._normalized_ends = self._normalized_ends, []
+        if normalize is None:
+            return
+        for end in ends:
+            if is_clipped(end, normalize, self.attachment.observation_key):
+                raise ValueError(
+                    "`callback` must be CuriosityCallback() where VecNormalize clips the end of "
+                    "an episode, from which the bonus would learn, got an end beyond "
+                    f"`clip_obs` {normalize.clip_obs}."
+                )
 
     def transition(self, rows: np.ndarray, columns: np.ndarray) -> Transition:
         """Stored steps as the environment gave them, with actions in [-1, 1].
@@ -108,6 +166,7 @@ class CuriousReplayBuffer(ReplayBuffer):
     def _get_samples(  # type: ignore[override]  # of a dictionary buffer, whose samples differ
         self, batch_inds: np.ndarray, env: VecNormalize | None = None
     ) -> ReplayBufferSamples | DictReplayBufferSamples:
+        self._check_ends(env)
         # the library samples from numpy's global stream, and nowhere else
         state = np.random.get_state()  # noqa: NPY002
         samples = super()._get_samples(batch_inds, env)
@@ -161,3 +220,12 @@ class CuriousDictReplayBuffer(CuriousReplayBuffer, DictReplayBuffer):  # type: i
         *args: As for `CuriousReplayBuffer`, of which `observation_key` must now be given.
         **options: As for `CuriousReplayBuffer`.
     """
+
+
+def _write(observations: Any, index: int, observation: Any) -> None:
+    """Put the observation of one environment in its place, in a dictionary of arrays too."""
+    if isinstance(observations, dict):
+        for name, column in observations.items():
+            column[index] = observation[name]
+    else:
+        observations[index] = observation

@@ -9,7 +9,7 @@ from stable_baselines3.common.buffers import DictRolloutBuffer, RolloutBuffer
 from torch import Tensor
 
 from deep_curiosity.bonuses.base import Bonus
-from deep_curiosity.integrations.stable_baselines3.attachment import BonusAttachment
+from deep_curiosity.integrations.stable_baselines3.attachment import BonusAttachment, check_known
 from deep_curiosity.integrations.stable_baselines3.spaces import batch_of, mask_of, scaled
 from deep_curiosity.transitions import Transition, check_counts
 
@@ -36,7 +36,7 @@ class CuriousRolloutBuffer(RolloutBuffer):
             minibatches) and `observation_key`, as for `CuriousReplayBuffer`.
 
     Raises:
-        TypeError: If `bonus` is neither a name nor a bonus.
+        TypeError: If `bonus` is neither a name nor a bonus, or there is no such option or setting.
         ValueError: If the spaces hold no vectors, or an option is out of range or out of place.
     """
 
@@ -62,6 +62,7 @@ class CuriousRolloutBuffer(RolloutBuffer):
                 f"observations, got {type(self).__name__}."
             )
         check_counts(batch_size=batch_size, epochs=epochs)
+        check_known(bonus_options, CuriousRolloutBuffer)
         self.batch_size = batch_size
         self.epochs = epochs
         self.attachment = BonusAttachment(

@@ -2,8 +2,7 @@
 
 Example:
     >>> from deep_curiosity.integrations.torchrl import CuriosityTransform
-    >>> from deep_curiosity.bonuses.learner import BonusLearner
-from deep_curiosity.bonuses.registry import make_bonus
+    >>> from deep_curiosity.bonuses import BonusLearner, make_bonus
     >>> learner = BonusLearner(make_bonus("curiosity", observation_dim=3, action_dim=1))
     >>> replay_buffer.append_transform(CuriosityTransform(learner, add_to_reward=True))
 """

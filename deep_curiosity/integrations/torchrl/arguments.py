@@ -1,10 +1,12 @@
 """Arguments of the actor-critic loss: checked, and translated to those of `SACLoss`."""
 
 import math
+from inspect import signature
 from typing import Any, Literal
 
 from tensordict.nn import ProbabilisticTensorDictSequential
 from torchrl.data import TensorSpec
+from torchrl.objectives import SACLoss
 
 from deep_curiosity.agent.networks import PRIORS
 from deep_curiosity.bonuses.base import Bonus
@@ -12,6 +14,8 @@ from deep_curiosity.integrations.torchrl.action_box import ActionBox
 
 REFUSED_OPTIONS = {"value_network", "target_entropy", "skip_done_states", "delay_actor"}
 """Keyword arguments of `SACLoss` that mean nothing here, or have another name."""
+GIVEN = {"self", "args", "kwargs", "actor_network", "qvalue_network", "action_spec"}
+"""Parameters of `SACLoss` that are parameters of the loss itself."""
 
 
 def action_box(
@@ -36,13 +40,17 @@ def target_entropy(
 
 
 def check_options(options: dict[str, Any]) -> None:
-    """Reject options of `SACLoss` that are not taken.
+    """Reject options of `SACLoss` that are not taken, and what is no option at all.
 
     Raises:
-        TypeError: Naming one of them.
+        TypeError: Naming one of them, and those that there are.
     """
-    for name in REFUSED_OPTIONS & options.keys():
-        raise TypeError(f"`{name}` is no option of this loss, got {options[name]!r}.")
+    known = {*signature(SACLoss.__init__).parameters} - GIVEN - REFUSED_OPTIONS
+    for name in options.keys() - known:
+        raise TypeError(
+            f"`{name}` is no option of this loss, got {options[name]!r}: there are its own and "
+            f"{', '.join(sorted(known))}."
+        )
 
 
 def check_numbers(curiosity_discount: float, hunger: float, prior: str) -> None:

@@ -13,7 +13,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.integrations.torchrl.action_box import ActionBox, Key
-from deep_curiosity.transitions import Transition
+from deep_curiosity.transitions import Transition, check_single_steps
 
 
 @dataclass
@@ -52,10 +52,12 @@ class TransitionReader:
 
         Raises:
             KeyError: If an entry is missing; `truncated` alone may be.
-            ValueError: If an entry has not one number for each observation.
+            ValueError: If an entry has not one number for each observation, or outcomes are those
+                of several steps.
         """
         if next_tensordict is None:
             next_tensordict = _entry(tensordict, "next")
+        check_single_steps(tensordict.get("steps_to_next_obs", None))
         observation, action = self.read_pair(tensordict)
         like, batch = observation, observation.shape[0]
         return Transition(

@@ -1,10 +1,15 @@
 """The bonus as a torchrl transform: fresh at every sample, whatever the storage holds."""
 
+from collections.abc import Iterator
+from itertools import takewhile
+
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from tensordict.utils import unravel_key
 from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs import Transform
+from torchrl.envs.transforms import CatFrames, Compose, DTypeCastTransform
 
 from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.bonuses.learner import BonusLearner
@@ -14,6 +19,9 @@ from deep_curiosity.integrations.torchrl.tensordicts import (
     TransitionKeys,
     TransitionReader,
 )
+
+KEEPS_UNITS = (CatFrames, DTypeCastTransform)
+"""Transforms that write an entry in its own place and leave its numbers what they are."""
 
 
 class CuriosityTransform(Transform):
@@ -77,7 +85,13 @@ class CuriosityTransform(Transform):
         return self.source.bonus if isinstance(self.source, BonusLearner) else self.source
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Learn from a sampled batch, if there is a learner, and write its bonus."""
+        """Learn from a sampled batch, if there is a learner, and write its bonus.
+
+        Raises:
+            ValueError: If a transform before this one changes what it reads, or the outcomes are
+                those of several steps.
+        """
+        self._check_order()
         transition = self.reader.read(tensordict)
         if isinstance(self.source, BonusLearner):
             self.source.learn(transition, self.policy)
@@ -88,6 +102,31 @@ class CuriosityTransform(Transform):
         if self.add_to_reward:
             next_tensordict.set(self.reader.keys.reward, reward + bonus)
         return tensordict
+
+    def _check_order(self) -> None:
+        """Reject transforms of the buffer that rewrite an entry before the bonus is given it."""
+        own = {unravel_key(key) for key in self._read_keys()}
+        for transform in self._transforms_before():
+            rewritten = {unravel_key(key) for key in transform.in_keys or []}
+            rewritten &= {unravel_key(key) for key in transform.out_keys or []} & own
+            if rewritten and not isinstance(transform, KEEPS_UNITS):
+                raise ValueError(
+                    "`transform` must come before all that change what it reads, got "
+                    f"{type(transform).__name__} of {sorted(map(str, rewritten))} before it: "
+                    "append the CuriosityTransform first."
+                )
+
+    def _read_keys(self) -> list[Key]:
+        keys = vars(self.reader.keys)
+        outcome = [("next", key) for name, key in keys.items() if name != "action"]
+        return [keys["observation"], keys["action"], *outcome]
+
+    def _transforms_before(self) -> Iterator[Transform]:
+        """Transforms that a sampled batch passes before this one."""
+        container = self.__dict__["_container"]  # weakly; the property is for environments alone
+        pipeline = None if container is None else container()
+        if isinstance(pipeline, Compose):
+            yield from takewhile(lambda each: each is not self, pipeline.transforms)
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
         transition = self.reader.read(tensordict, next_tensordict)
