@@ -204,9 +204,9 @@ class AgentConfig(Group):
 
     def _refuse_settings_of_curiosity_value(self) -> None:
         """Refuse what is about the value of the bonus where none is learned."""
-        for name in ("steps", "episodic"):
-            default = getattr(CuriosityValueConfig, name)
-            if getattr(self.curiosity, name) != default:
+        known = {"steps": (1, CuriosityValueConfig.steps), "episodic": (True,)}
+        for name, values in known.items():
+            if getattr(self.curiosity, name) not in values:
                 raise ValueError(
                     f"`curiosity_discount` must be above 0 where `curiosity_{name}` is set, got 0."
                 )
