@@ -15,11 +15,10 @@ import torch
 from gymnasium.vector import AsyncVectorEnv
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from deep_curiosity.training import continue_run, loop, train
+from deep_curiosity.training import continue_run, environments, loop, train
 from deep_curiosity.training.checkpoint import NEWEST, load_checkpoint, save_checkpoint
 from deep_curiosity.training.collector import Collector
 from deep_curiosity.training.divergence import DivergedError
-from deep_curiosity.training.environments import make_environment
 from deep_curiosity.training.failure import EnvironmentFailedError
 from deep_curiosity.training.learner import Learner
 from deep_curiosity.training.lease import LeaseError
@@ -417,11 +416,8 @@ def stop_at(monkeypatch):
     def stop(name, number, sent):
         monkeypatch.setattr(Stopping, "calls", {})
         monkeypatch.setattr(Stopping, "after", (name, number, sent))
-        for where in ("run", "environments"):
-            monkeypatch.setattr(
-                f"deep_curiosity.training.{where}.make_environment",
-                lambda config: Stopping(make_environment(config)),
-            )
+        made = environments._make
+        monkeypatch.setattr(environments, "_make", lambda *args: Stopping(made(*args)))
 
     return stop
 
@@ -695,7 +691,7 @@ def unchanged(tiny_config, tmp_path_factory):
         {"actor_q": "min"},
         {"members": "all"},
         {"model_mixture_components": 2},
-        {"soft_backup": True},
+        {"soft_backup": False},
         {"curiosity_coefficient": 0.1},
     ],
     ids=str,
@@ -726,7 +722,7 @@ def test_a_setting_that_changes_the_shape_of_the_policy_is_learned_with(
 
 
 def test_a_curiosity_of_fixed_coefficient_learns_otherwise(tiny, tmp_path):
-    faint = tiny.override(bonus_weight=1e-3)
+    faint = tiny.override(bonus_weight=1e-3, hunger=100.0)
     train(faint, show_progress=False)
     train(faint.override(curiosity_coefficient=1.0, out=tmp_path / "changed"), show_progress=False)
     assert float(rows(tiny.run.out)[-1]["agent/curiosity_coefficient"]) < 1
