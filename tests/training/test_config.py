@@ -179,7 +179,7 @@ def test_hunger_and_temperature_are_read_from_their_text():
         ({"hunger": "greed"}, "`hunger` must be a number, a schedule .* got 'greed'"),
         ({"hunger": "linear:1:0"}, "`last` must be finite and positive, got 0.0"),
         ({"hunger": "conditioned:much"}, "`hunger` cannot be read: .*'conditioned:much'"),
-        ({"temperature": "slow:1:2"}, "`temperature` cannot be read: a schedule .* 'slow:1:2'"),
+        ({"temperature": "slow:1:2"}, "`temperature` cannot be read: `schedule` .* 'slow:1:2'"),
     ],
     ids=str,
 )

@@ -229,7 +229,7 @@ def test_a_resumed_run_goes_on_with_its_controller(tiny, tmp_path, hunger):
     [
         (
             {"hunger": "bandit", "bonus": "none"},
-            "`hunger` must be a number or a schedule without a bonus, got bandit",
+            "`hunger` must be a positive number or a schedule without a bonus, got bandit",
         ),
         (
             {"hunger": "conditioned:2.0"},
