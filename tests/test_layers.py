@@ -12,14 +12,14 @@ from deep_curiosity.bonuses import BONUSES, Bonus
 
 ROOT = Path(deep_curiosity.__file__).parent
 LAYERS = (
-    ("configuration", "schedules", "transitions", "gaussians", "losses", "nn"),
+    ("requirements", "configuration", "schedules", "transitions", "gaussians", "losses", "nn"),
     ("replay",),
     ("speed",),
     ("bonuses",),
     ("agent",),
     ("speed.numpy_policy",),
     ("training",),
-    ("integrations", "tabular"),
+    ("integrations", "tabular", "trained"),
     ("experiments",),
     ("benchmark",),
 )
