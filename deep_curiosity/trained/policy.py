@@ -1,11 +1,12 @@
 """A trained policy for use: NumPy in, actions in the task's own units out."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from torch import Tensor
 
 from deep_curiosity.agent.config import ConditionedHunger
@@ -17,7 +18,8 @@ from deep_curiosity.training.windows import first_window, next_window
 
 State = tuple[np.ndarray, ...]
 """What a policy on a frame stack remembers: its windows, and the actions it gave, in [-1, 1]."""
-ActionBounds = tuple[ArrayLike, ArrayLike]
+Numbers = np.ndarray | np.generic | Sequence[float | int] | float | int
+ActionBounds = tuple[Numbers, Numbers]
 
 
 class TrainedPolicy:
@@ -53,11 +55,11 @@ class TrainedPolicy:
         self,
         observation: Any,
         state: State | None = None,
-        episode_start: ArrayLike | None = None,
+        episode_start: Numbers | None = None,
         deterministic: bool = True,
         *,
         curious: bool = False,
-        hunger: ArrayLike | None = None,
+        hunger: Numbers | None = None,
     ) -> tuple[NDArray[Any], State | None]:
         """Choose actions.
 
@@ -100,7 +102,7 @@ class TrainedPolicy:
         return (chosen[0] if vector.ndim == 1 else chosen), state
 
     def _window(
-        self, batch: NDArray[np.float32], state: State | None, episode_start: ArrayLike | None
+        self, batch: NDArray[np.float32], state: State | None, episode_start: Numbers | None
     ) -> NDArray[np.float32]:
         """What the policy is shown: the observations, or windows of them."""
         if self.num_frames == 1:
@@ -118,7 +120,7 @@ class TrainedPolicy:
         return np.where(np.reshape(begins, (-1, 1)), first, later)
 
     def _policy_input(
-        self, window: NDArray[np.float32], hunger: ArrayLike | None
+        self, window: NDArray[np.float32], hunger: Numbers | None
     ) -> NDArray[np.float32]:
         """The windows, and behind them the hunger where the run is conditioned on it."""
         if not self.is_conditioned:
@@ -240,7 +242,7 @@ def as_batch(name: str, vector: NDArray[np.float32], dim: int) -> NDArray[np.flo
     return np.atleast_2d(vector)
 
 
-def _hunger(hunger: ArrayLike, batch: int) -> NDArray[np.float64]:
+def _hunger(hunger: Numbers, batch: int) -> NDArray[np.float64]:
     values = np.asarray(hunger, dtype=np.float64)
     if values.shape not in ((), (batch,)) or not ((values >= 0) & (values <= 1)).all():
         raise ValueError(
