@@ -1,6 +1,6 @@
 """Policies that leave the house: as ONNX, as a torch program, or as safetensors with settings."""
 
-import warnings
+import logging
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -116,9 +116,9 @@ def export(
     if chosen == "safetensors":
         _write_folder(trained, policy, out)
     elif chosen == "onnx":
-        _write_onnx(Actor(policy, curious=curious), _example(policy), out)
+        _write_onnx(Actor(policy, curious=curious).eval(), _example(policy), out)
     else:
-        _write_program(Actor(policy, curious=curious), _example(policy), out)
+        _write_program(Actor(policy, curious=curious).eval(), _example(policy), out)
     return out
 
 
@@ -143,8 +143,10 @@ def _write_program(actor: Actor, example: dict[str, Tensor], out: Path) -> None:
 
 def _write_onnx(actor: Actor, example: dict[str, Tensor], out: Path) -> None:
     require("onnx", "onnxscript", extra="export")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of torch's exporter about itself
+    logger = logging.getLogger("torch.onnx")  # which reports that torchvision is not there
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
         torch.onnx.export(
             actor,
             (),
@@ -158,6 +160,8 @@ def _write_onnx(actor: Actor, example: dict[str, Tensor], out: Path) -> None:
             dynamo=True,
             verbose=False,
         )
+    finally:
+        logger.setLevel(level)
 
 
 def _batch_sizes(example: dict[str, Tensor]) -> dict[str, Any]:
