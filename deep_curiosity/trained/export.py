@@ -1,6 +1,9 @@
 """Policies that leave the house: as ONNX, as a torch program, or as safetensors with settings."""
 
 import logging
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -143,10 +146,7 @@ def _write_program(actor: Actor, example: dict[str, Tensor], out: Path) -> None:
 
 def _write_onnx(actor: Actor, example: dict[str, Tensor], out: Path) -> None:
     require("onnx", "onnxscript", extra="export")
-    logger = logging.getLogger("torch.onnx")  # which reports that torchvision is not there
-    level = logger.level
-    logger.setLevel(logging.ERROR)
-    try:
+    with _quiet_exporter():
         torch.onnx.export(
             actor,
             (),
@@ -160,6 +160,21 @@ def _write_onnx(actor: Actor, example: dict[str, Tensor], out: Path) -> None:
             dynamo=True,
             verbose=False,
         )
+
+
+@contextmanager
+def _quiet_exporter() -> Iterator[None]:
+    """Keep from a user what torch's exporter says of itself and of packages that it can do without.
+
+    Errors come through.
+    """
+    logger = logging.getLogger("torch.onnx")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
     finally:
         logger.setLevel(level)
 
