@@ -164,7 +164,7 @@ def _write_onnx(actor: Actor, example: dict[str, Tensor], out: Path) -> None:
 
 @contextmanager
 def _quiet_exporter() -> Iterator[None]:
-    """Keep from a user what torch's exporter says of itself and of packages that it can do without.
+    """Keep from a user what torch's exporter says of itself, and of packages it can do without.
 
     Errors come through.
     """
