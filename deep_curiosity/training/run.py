@@ -194,7 +194,7 @@ def open_run(
         config = replace(config, speed=speed)
         _print_machine(config)
         torch.manual_seed(config.run.seed)
-        evaluation_environment = make_environment(config.environment, make_env=make_env)
+        evaluation_environment = make_environment(config.environment, **_own(make_env))
         stack.callback(evaluation_environment.close)
         sizes = observation_dim(evaluation_environment), action_dim(evaluation_environment)
         learner = Learner(config, *sizes, hunger)
@@ -224,10 +224,15 @@ def with_make_env(config: Config, make_env: MakeEnv | None) -> Config:
     return config.override(env_id=MADE_BY_FUNCTION)
 
 
+def _own(make_env: MakeEnv | None) -> dict[str, Any]:
+    """The caller's own function as an argument, where there is one."""
+    return {} if make_env is None else {"make_env": make_env}
+
+
 def make_collector(config: Config, make_env: MakeEnv | None = None) -> Collector:
     """Collector of a run, with its environment."""
     make = make_environment if config.environment.num_envs == 1 else make_vector_environment
-    return Collector(make(config.environment, make_env=make_env), config.run.seed)
+    return Collector(make(config.environment, **_own(make_env)), config.run.seed)
 
 
 def merge_config(wanted: Config, own: Config) -> Config:
