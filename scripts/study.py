@@ -30,7 +30,8 @@ class Args:
     runs: Path = Path("runs")
     """Folder for the runs; finished ones there are not run again."""
     out: Path | None = None
-    """Path of table, summary and figure, without suffix; by default as documented."""
+    """Path of table, summary and figure, without suffix; by default as documented. Files there
+    that are none of a study are left alone."""
     workers: int = 2
     """Processes at a time."""
 
@@ -49,3 +50,5 @@ if __name__ == "__main__":
         sys.exit(min(main(tyro.cli(Args, description=__doc__)), 1))
     except (ImportError, OSError, TypeError, ValueError) as error:
         sys.exit(f"error: {error}")
+    except KeyboardInterrupt:
+        sys.exit(130)

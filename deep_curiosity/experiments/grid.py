@@ -3,10 +3,9 @@
 import math
 import sys
 from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, as_completed
 from contextlib import contextmanager
 from dataclasses import replace
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +14,12 @@ from deep_curiosity.experiments.runs import find_finished, finished_key, run_own
 from deep_curiosity.experiments.statistics import probability_of_improvement
 from deep_curiosity.experiments.study import Cell, Result, Row, Study
 from deep_curiosity.experiments.tables import markdown_table, select, summarize, write_table
+from deep_curiosity.experiments.workers import worker_processes
 
 MANY_TO_COMPARE = 12  # agents: a table of all pairs would be longer than anyone reads
+
+ENDINGS = (".csv", "_curves.csv", ".md", ".png")
+"""Of the files that a study writes."""
 
 
 def overridden(study: Study, values: dict[str, Any]) -> Study:
@@ -69,7 +72,8 @@ def run_study(
     """Run every cell, and write tables, curves, summary and figure as far as they come.
 
     A run that is finished is read, one that was cut off is continued; one whose folder holds a run
-    of other settings, or that raises, is listed as failed, and the others go on.
+    of other settings, or that raises, is listed as failed, and the others go on. Ctrl-C or SIGTERM
+    ends all, each run with a checkpoint to continue from.
 
     Args:
         study: What is run.
@@ -81,7 +85,12 @@ def run_study(
 
     Returns:
         Number of runs that failed.
+
+    Raises:
+        FileExistsError: If a file at `out` is none that a study has written.
+        KeyboardInterrupt: If it is stopped.
     """
+    check_out(study, out)
     cells = cells_of(study, runs)
     results: dict[int, Result] = {}
     failures: list[str] = []
@@ -108,9 +117,30 @@ def _executor(executor: Executor | None, workers: int) -> Iterator[Executor]:
     """The caller's own executor, which is left open, or processes of this machine."""
     if executor is not None:
         yield executor
-        return
-    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        yield pool
+    else:
+        with worker_processes(workers) as pool:
+            yield pool
+
+
+def output_path(out: Path, ending: str) -> Path:
+    """Path of one of the files of a study."""
+    return out.with_name(f"{out.name}{ending}")
+
+
+def check_out(study: Study, out: Path) -> None:
+    """Refuse to write over files that are none of a study's.
+
+    Raises:
+        FileExistsError: Naming them.
+    """
+    there = [path for end in ENDINGS if (path := output_path(out, end)).exists()]
+    table = output_path(out, ".csv")
+    own = table.is_file() and table.read_text(errors="replace").startswith("task,")
+    if there and not own:
+        raise FileExistsError(
+            "`out` must name new files, or those of a study, which has a table of tasks, got "
+            f"{', '.join(map(str, there))}; choose another path."
+        )
 
 
 def collect(cells: Sequence[Cell], results: dict[int, Result]) -> tuple[list[Row], list[Row]]:
@@ -134,15 +164,15 @@ def report(
     study: Study, rows: list[Row], curves: list[Row], failures: Sequence[str], out: Path
 ) -> None:
     """Write table, curves, summary and figure of what was measured."""
-    write_table(out.with_suffix(".csv"), rows)
+    write_table(output_path(out, ".csv"), rows)
     if study.curves:
-        write_table(out.with_name(f"{out.name}_curves.csv"), curves)
-        plot_curves(out.with_suffix(".png"), study, rows, curves)
+        write_table(output_path(out, "_curves.csv"), curves)
+        plot_curves(output_path(out, ".png"), study, rows, curves)
     else:
-        plot_columns(out.with_suffix(".png"), study, rows)
+        plot_columns(output_path(out, ".png"), study, rows)
     failed = [f"- failed: {failure}" for failure in failures]
     summary = "\n".join([summarize(study, rows), *compare(study, rows), *failed])
-    out.with_suffix(".md").write_text(summary.rstrip("\n") + "\n")
+    output_path(out, ".md").write_text(summary.rstrip("\n") + "\n")
     print(summary)
 
 

@@ -7,7 +7,13 @@ from typing import TYPE_CHECKING, Any
 
 from deep_curiosity import __version__
 from deep_curiosity.training.config import Config, config_key
-from deep_curiosity.training.log import CONFIG, SUMMARY, read_progress, read_values
+from deep_curiosity.training.log import (
+    CONFIG,
+    SUMMARY,
+    read_progress,
+    read_values,
+    write_text,
+)
 from deep_curiosity.training.loop import train
 from deep_curiosity.training.source import source_commit
 
@@ -57,10 +63,11 @@ def run_once(config: Config) -> dict[str, Any]:
 
     Raises:
         FileExistsError: If the folder holds a run of other settings.
+        RuntimeError: If it is stopped before its end; it can be continued.
     """
     folder = config.run.out
     if not (folder / CONFIG).exists():
-        return train(config, show_progress=False)
+        return _to_its_end(config)
     there, here = config_key(read_values(folder)), config_key(config.to_json())
     differing = {name for name in there.keys() | here.keys() if there.get(name) != here.get(name)}
     if others := sorted(differing - {"total_steps"}):
@@ -72,7 +79,17 @@ def run_once(config: Config) -> dict[str, Any]:
         summary: dict[str, Any] = json.loads((folder / SUMMARY).read_text())
         if summary["total_steps"] >= config.run.total_steps:
             return summary
-    return train(config, resume=True, show_progress=False)
+    return _to_its_end(config, resume=True)
+
+
+def _to_its_end(config: Config, *, resume: bool = False) -> dict[str, Any]:
+    summary = train(config, resume=resume, show_progress=False)
+    if summary["total_steps"] < config.run.total_steps:
+        raise RuntimeError(
+            f"a run must reach its {config.run.total_steps} steps to count, got one stopped at "
+            f"step {summary['total_steps']}: {config.run.out}; run the study again to continue it."
+        )
+    return summary
 
 
 def run_foreign(cell: "Cell", trained: Callable[["Cell"], tuple["Row", list["Row"]]]) -> "Result":
@@ -94,7 +111,7 @@ def run_foreign(cell: "Cell", trained: Callable[["Cell"], tuple["Row", list["Row
         row, curve = trained(cell)
         origin = {"version": __version__, "commit": source_commit(), "settings": wanted}
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps({"row": row, "curve": curve, "origin": origin}))
+        write_text(path, json.dumps({"row": row, "curve": curve, "origin": origin}))
     result = json.loads(path.read_text())
     if result["origin"]["settings"] != wanted:
         raise FileExistsError(f"`runs` must hold no result of other settings, got {path}.")

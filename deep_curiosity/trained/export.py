@@ -14,7 +14,7 @@ from deep_curiosity.requirements import require
 from deep_curiosity.trained.policy import ActionBounds, TrainedPolicy
 from deep_curiosity.trained.source import BONUS_WEIGHTS, WEIGHTS, Trained, Weights, read_trained
 from deep_curiosity.training.log import CONFIG, write_json
-from deep_curiosity.training.spaces import write_spaces
+from deep_curiosity.training.spaces import SPACES
 
 Format = Literal["onnx", "torch", "safetensors"]
 OPSET = 18  # the lowest that torch's exporter writes without converting
@@ -192,7 +192,7 @@ def _write_folder(trained: Trained, policy: TrainedPolicy, out: Path) -> None:
     settings = trained.config.to_json()
     kept = {name: value for name, value in settings.items() if name not in OF_A_MACHINE}
     write_json(out / CONFIG, kept)
-    write_spaces(out, policy.spaces)
+    write_json(out / SPACES, policy.spaces.to_json())
     save_file(_contiguous(trained.policy), out / WEIGHTS)
     if trained.bonus:
         save_file(_contiguous(trained.bonus), out / BONUS_WEIGHTS)

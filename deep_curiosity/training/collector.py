@@ -7,6 +7,7 @@ require_training()
 
 import math
 import warnings
+from copy import copy
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -17,6 +18,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from torch import Tensor
 
 from deep_curiosity.training.interfaces import Info, Policy
+from deep_curiosity.training.interruption import cut_off_at_once
 from deep_curiosity.training.outliers import (
     FACTOR,
     USUAL_REWARD,
@@ -26,6 +28,22 @@ from deep_curiosity.training.outliers import (
 from deep_curiosity.training.single_environment import SingleEnvironment
 
 MAX_BROKEN_IN_ROW = 20  # episodes: more than that is no accident
+
+CHANGED_BY_STEP = (
+    "_number",
+    "_length",
+    "_return",
+    "_success",
+    "num_episodes",
+    "observation",
+    "_raw_observation",
+    "_usual_observation",
+    "_usual_reward",
+    "_num_broken_in_row",
+    "info",
+    "present_info",
+)
+"""Attributes of a collector."""
 
 
 class Episode(NamedTuple):
@@ -114,7 +132,9 @@ class Collector:
         Args:
             action: `(num_envs, action_dim)`.
         """
-        next_observation, reward, terminated, truncated, self.info = self.environment.step(action)
+        with cut_off_at_once():
+            outcome = self.environment.step(action)
+        next_observation, reward, terminated, truncated, self.info = outcome
         sound = np.isfinite(next_observation).all(1) & np.isfinite(reward)
         if not sound.all():
             reward = np.where(sound, reward, 0.0)
@@ -184,6 +204,20 @@ class Collector:
                 f"{self._num_broken_in_row} episodes one after another."
             )
 
+    def position(self) -> dict[str, Any]:
+        """All that a step changes, for `step_back`."""
+        changed = {name: copy(getattr(self, name)) for name in CHANGED_BY_STEP}
+        return changed | {"actions": self.actions, "num_actions": len(self.actions)}
+
+    def step_back(self, position: dict[str, Any]) -> None:
+        """Stand where the newest step began, be it whole or cut off, so that it can be saved.
+
+        The environments are then not where they are said to be: only what is saved can go on.
+        """
+        for name in CHANGED_BY_STEP:
+            setattr(self, name, position[name])
+        self.actions = position["actions"][: position["num_actions"]]
+
     def state_dict(self) -> dict[str, Any]:
         """Number and length of the episode in every environment, and the actions taken in them."""
         return {
@@ -248,13 +282,14 @@ class Collector:
             number = self.num_episodes + np.cumsum(mask) - 1
             self.num_episodes += int(mask.sum())
         self._number[mask] = number[mask]
-        start, info = self.environment.reset(
-            seed=[  # type: ignore[arg-type]  # every vector environment takes a list
-                _episode_seed(self.seed, int(number[index])) if chosen else None
-                for index, chosen in enumerate(mask)
-            ],
-            options={"reset_mask": mask},
-        )
+        with cut_off_at_once():
+            start, info = self.environment.reset(
+                seed=[  # type: ignore[arg-type]  # every vector environment takes a list
+                    _episode_seed(self.seed, int(number[index])) if chosen else None
+                    for index, chosen in enumerate(mask)
+                ],
+                options={"reset_mask": mask},
+            )
         self.present_info = self.present_info | {
             name: np.where(mask, value, self.present_info.get(name, value))
             for name, value in info.items()

@@ -21,7 +21,11 @@ class RunLog:
     episodes: list[Episode] = field(default_factory=list)
     """Of training."""
     evaluations: list[Episode] = field(default_factory=list)
-    """Of evaluation; always whole batches of `evaluation_episodes`."""
+    """Of all evaluations, one after the other."""
+    evaluation_step: int | None = None
+    """Of the newest evaluation."""
+    evaluation_size: int = NUM_RECENT
+    """Episodes in the newest evaluation."""
     first_success_step: int | None = None
     cells: dict[int, int] = field(default_factory=dict)
     """Visited cell to the step at which it was first visited."""
@@ -40,6 +44,16 @@ class RunLog:
         """Count environment steps, taken once learning has begun."""
         self.learning_steps += num_steps
         self.learning_seconds += seconds
+
+    def on_evaluated(self, episodes: Sequence[Episode]) -> None:
+        """Note the episodes of an evaluation at the present step."""
+        self.evaluations.extend(episodes)
+        self.evaluation_step, self.evaluation_size = self.step, len(episodes)
+
+    @property
+    def latest_evaluation(self) -> list[Episode]:
+        """Episodes of the newest evaluation, be it a scheduled one or the last of a run."""
+        return self.evaluations[-self.evaluation_size :]
 
     @property
     def steps_per_second(self) -> float:
@@ -63,11 +77,15 @@ class RunLog:
 
     def summary(self, num_cells: int | None) -> dict[str, Any]:
         """The figures by which runs are compared."""
+        evaluation = self.latest_evaluation
         return {
-            "evaluation_return": mean_return(self.evaluations),
+            "evaluation_return": mean_return(evaluation, num_recent=len(evaluation)),
+            "evaluation_step": self.evaluation_step,
             "training_return": mean_return(self.episodes),
             "mean_training_return": mean_return(self.episodes, num_recent=len(self.episodes)),
-            "success_rate": success_rate(self.evaluations, is_defined=self.defines_success),
+            "success_rate": success_rate(
+                evaluation, num_recent=len(evaluation), is_defined=self.defines_success
+            ),
             "broken_episodes": self.broken_episodes,
             "first_success_step": self.first_success_step,
             "coverage": self.coverage(num_cells),
@@ -93,18 +111,21 @@ def mean_return(episodes: Sequence[Episode], num_recent: int = NUM_RECENT) -> fl
     return sum(returns) / len(returns) if returns else None
 
 
-def success_rate(episodes: Sequence[Episode], *, is_defined: bool = False) -> float | None:
-    """Share of successes among the 10 newest episodes, `None` where the task defines none.
+def success_rate(
+    episodes: Sequence[Episode], num_recent: int = NUM_RECENT, *, is_defined: bool = False
+) -> float | None:
+    """Share of successes among the newest episodes, `None` where the task defines none.
 
     Args:
         episodes: In their order.
+        num_recent: Episodes that count.
         is_defined: Whether the task is known to define success: an episode without a word of it
             then had none. So it is, too, where another of these episodes has a word of it.
     """
     successes = [episode.success for episode in episodes]
     if not successes or (not is_defined and all(map(math.isnan, successes))):
         return None
-    return float(np.nan_to_num(successes[-NUM_RECENT:]).mean())
+    return float(np.nan_to_num(successes[-num_recent:]).mean())
 
 
 def _or_none(value: float) -> float | None:

@@ -74,11 +74,6 @@ class TaskSpaces:
         return np.concatenate([_vector(observation, entry) for entry in self.entries], axis=-1)
 
 
-def write_spaces(folder: Path, spaces: TaskSpaces) -> None:
-    """Write the spaces of a run into its folder."""
-    (folder / SPACES).write_text(json.dumps(spaces.to_json(), indent=2) + "\n")
-
-
 def read_spaces(folder: Path) -> TaskSpaces | None:
     """Spaces of the run in a folder; `None` for a run that did not write them down."""
     path = folder / SPACES

@@ -7,7 +7,14 @@ import pytest
 
 from deep_curiosity import __version__
 from deep_curiosity.experiments import runs
-from deep_curiosity.experiments.grid import cells_of, compare, overridden, part_of, run_study
+from deep_curiosity.experiments.grid import (
+    cells_of,
+    compare,
+    output_path,
+    overridden,
+    part_of,
+    run_study,
+)
 from deep_curiosity.experiments.study import Study, Task
 from deep_curiosity.training import Config
 from deep_curiosity.training.source import source_commit
@@ -71,6 +78,32 @@ def test_a_cut_off_run_is_continued(small_study, tmp_path):
     with ThreadPoolExecutor(1) as executor:
         run_study(study, runs=tmp_path / "runs", out=tmp_path / "out", executor=executor)
     assert [row["total_steps"] for row in table(tmp_path / "out")] == ["40"]
+
+
+def test_a_run_that_was_stopped_does_not_count(small_study, tmp_path, monkeypatch):
+    study = replace(small_study, seeds=1, agents={"none": {"bonus": "none"}})
+    train = runs.train
+    monkeypatch.setattr(
+        runs,
+        "train",
+        lambda config, **options: train(config, **options) | {"total_steps": 30},
+    )
+    with ThreadPoolExecutor(1) as executor:
+        places = {"runs": tmp_path / "runs", "out": tmp_path / "out"}
+        assert run_study(study, **places, executor=executor) == 1
+
+
+@pytest.mark.parametrize("name", ["out.csv", "out.md", "out.png", "out_curves.csv"])
+def test_files_that_are_none_of_a_study_are_left_alone(small_study, tmp_path, name):
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(FileExistsError, match=rf"`out` must name new files.*{name}"):
+        run_study(small_study, runs=tmp_path / "runs", out=tmp_path / "out")
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).read_text() == "mine"
+
+
+def test_a_dot_in_the_path_is_no_suffix(tmp_path):
+    assert output_path(tmp_path / "rate.0.5", ".md") == tmp_path / "rate.0.5.md"
 
 
 def test_settings_of_all_runs_can_be_overridden(small_study, tmp_path):

@@ -5,7 +5,8 @@ from gymnasium import spaces
 
 from deep_curiosity.training.config import EnvironmentConfig
 from deep_curiosity.training.environments import make_environment, task_spaces
-from deep_curiosity.training.spaces import Entry, TaskSpaces, read_spaces, write_spaces
+from deep_curiosity.training.log import write_json
+from deep_curiosity.training.spaces import SPACES, Entry, TaskSpaces, read_spaces
 
 REACH = TaskSpaces(
     5,
@@ -29,7 +30,7 @@ def test_actions_go_to_the_units_of_the_task_and_back():
 
 def test_they_are_read_as_they_were_written(tmp_path):
     assert read_spaces(tmp_path) is None
-    write_spaces(tmp_path, REACH)
+    write_json(tmp_path / SPACES, REACH.to_json())
     assert read_spaces(tmp_path) == REACH
 
 
