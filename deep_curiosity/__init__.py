@@ -1,16 +1,24 @@
 """Predictive-information curiosity for continuous control, after Still & Precup (2012).
 
-`Config` and `train` need the extra `scripts`, and are imported where they are used.
+Every name is imported when it is first used: the bonus and what was learned need torch, and what
+trains needs besides what `pip install 'deep-curiosity[train]'` brings.
 """
 
-from typing import Any
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-from deep_curiosity.agent.sac import CuriousSAC
-from deep_curiosity.bonuses import Bonus, CuriosityBonus, make_bonus
-from deep_curiosity.replay import ReplayBuffer
-from deep_curiosity.transitions import Transition
+if TYPE_CHECKING:
+    from deep_curiosity.agent.sac import CuriousSAC
+    from deep_curiosity.bonuses import Bonus, CuriosityBonus, make_bonus
+    from deep_curiosity.replay import ReplayBuffer
+    from deep_curiosity.trained.export import export
+    from deep_curiosity.trained.model import load_bonus, load_model
+    from deep_curiosity.trained.policy import load
+    from deep_curiosity.trained.run import continue_run, train
+    from deep_curiosity.training import Config
+    from deep_curiosity.transitions import Transition
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "Bonus",
@@ -20,15 +28,40 @@ __all__ = [
     "ReplayBuffer",
     "Transition",
     "continue_run",
+    "export",
+    "load",
+    "load_bonus",
+    "load_model",
     "make_bonus",
     "train",
 ]
 
+_MODULES = {
+    "Bonus": "bonuses",
+    "Config": "training",
+    "CuriosityBonus": "bonuses",
+    "CuriousSAC": "agent.sac",
+    "ReplayBuffer": "replay",
+    "Transition": "transitions",
+    "continue_run": "trained.run",
+    "export": "trained.export",
+    "load": "trained.policy",
+    "load_bonus": "trained.model",
+    "load_model": "trained.model",
+    "make_bonus": "bonuses",
+    "train": "trained.run",
+}
+"""Module within the package that has each name."""
+
 
 def __getattr__(name: str) -> Any:
-    """Import what trains on request: it needs gymnasium and MuJoCo, the bonus does not."""
-    if name in ("Config", "continue_run", "train"):
-        from deep_curiosity import training
+    """Import a public name when it is first asked for."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    globals()[name] = value
+    return value
 
-        return getattr(training, name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

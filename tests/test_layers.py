@@ -12,7 +12,7 @@ from deep_curiosity.bonuses import BONUSES, Bonus
 
 ROOT = Path(deep_curiosity.__file__).parent
 LAYERS = (
-    ("transitions",),
+    ("requirements", "transitions"),
     ("cli", "configuration", "schedules", "gaussians", "losses", "nn"),
     ("replay",),
     ("speed",),
@@ -20,7 +20,7 @@ LAYERS = (
     ("agent",),
     ("speed.numpy_policy",),
     ("training",),
-    ("integrations", "tabular"),
+    ("integrations", "tabular", "trained"),
     ("experiments",),
     ("benchmark",),
 )

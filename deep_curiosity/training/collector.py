@@ -1,8 +1,12 @@
 """Collection: environments stepped with full knowledge of how to get back to any step."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
+
+from deep_curiosity.requirements import require_training
+
+require_training()
 
 import math
 import warnings
-from collections.abc import Callable, Mapping
 from copy import copy
 from typing import Any, NamedTuple
 
@@ -13,6 +17,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from torch import Tensor
 
+from deep_curiosity.training.interfaces import Info, Policy
 from deep_curiosity.training.interruption import cut_off_at_once
 from deep_curiosity.training.outliers import (
     FACTOR,
@@ -24,23 +29,17 @@ from deep_curiosity.training.single_environment import SingleEnvironment
 
 MAX_BROKEN_IN_ROW = 20  # episodes: more than that is no accident
 
-Info = Mapping[str, Any]
-"""Entries of the info of every environment, `(num_envs,)` each."""
-Policy = Callable[[Tensor, Info], Tensor]
-"""Observations `(batch, observation_dim)`, and the info that came with them, to actions
-`(batch, action_dim)`."""
-
 CHANGED_BY_STEP = (
     "_number",
     "_length",
     "_return",
     "_success",
-    "_num_broken_in_row",
+    "num_episodes",
+    "observation",
     "_raw_observation",
     "_usual_observation",
     "_usual_reward",
-    "num_episodes",
-    "observation",
+    "_num_broken_in_row",
     "info",
     "present_info",
 )

@@ -9,15 +9,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from torch.utils.tensorboard import SummaryWriter
-
 from deep_curiosity.training.checkpoint import NEWEST, PREVIOUS
 from deep_curiosity.training.config import Config
+from deep_curiosity.training.spaces import SPACES
 
 CONFIG = "config.json"
 PROGRESS = "progress.csv"
 SUMMARY = "summary.json"
-WRITTEN = (CONFIG, PROGRESS, SUMMARY, NEWEST, PREVIOUS, "run.png")
+WRITTEN = (CONFIG, SPACES, PROGRESS, SUMMARY, NEWEST, PREVIOUS, "run.png")
 """All that a run writes over, but for files with names of their own."""
 
 
@@ -144,6 +143,8 @@ class Log:
         """Content of progress.csv."""
         self._columns = progress.partition("\r\n")[0].split(",") if progress else []
         self._restore()
+        from torch.utils.tensorboard import SummaryWriter
+
         self._writer = SummaryWriter(str(folder), purge_step=start + 1 if start else None)
 
     def scalars(self, step: int, values: Mapping[str, float]) -> None:

@@ -1,4 +1,9 @@
 """The training loop, read from top to bottom like the algorithm box of the paper's section 4."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
+
+from deep_curiosity.requirements import require_training
+
+require_training()
 
 import time
 from contextlib import suppress
@@ -69,12 +74,13 @@ def train(
                 if not run.unrecorded:  # else it was stopped in the evaluation of this step
                     step_started = time.perf_counter()
                     learning = run_log.step >= course.learning_starts
+                    uniform = not learning and course.init_from is None
 
                     # (d) Choose an action, obtain reward and next state; both are kept as they are
                     if run.action is None:  # else it was stopped in this step
                         observation = collector.observation
                         learner.before_step(run_log.step, observation, collector.present_info)
-                        run.action = learner.act(observation, explore_uniformly=not learning)
+                        run.action = learner.act(observation, explore_uniformly=uniform)
                     finished = run.collect()
                     run_log.on_step(collector.info)
                     for episode in finished:

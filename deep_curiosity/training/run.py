@@ -1,4 +1,9 @@
 """A run in progress: its parts, opened together, saved together, closed together."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
+
+from deep_curiosity.requirements import require_training
+
+require_training()
 
 import math
 import sys
@@ -44,6 +49,7 @@ from deep_curiosity.training.environments import (
     make_vector_environment,
     num_cells,
     observation_dim,
+    task_spaces,
 )
 from deep_curiosity.training.failure import close_at_once, environment_failure
 from deep_curiosity.training.hunger import HungerFunction
@@ -64,6 +70,8 @@ from deep_curiosity.training.log import (
 )
 from deep_curiosity.training.run_log import RunLog, mean_return, success_rate
 from deep_curiosity.training.source import source_commit
+from deep_curiosity.training.spaces import SPACES
+from deep_curiosity.training.warm_start import begin_from
 
 EVALUATION_SEED = 1_000_003  # apart from the seeds of training, the same in every run
 
@@ -336,6 +344,8 @@ def open_run(
         collector = make_collector(config, make_env)
         stack.callback(collector.environment.close)
         begins = not resume or is_unbegun(config.run.out)
+        if begins:
+            begin_from(config, learner)
         lease = _hold_folder(config.run.out, resume=resume)
         stack.callback(lease.release)
         state = {} if begins else load_checkpoint(config.run.out, mend=True)
@@ -345,6 +355,7 @@ def open_run(
             write_json(config.run.out / CONFIG, config.to_json())
         else:
             open_folder(config)
+        write_json(config.run.out / SPACES, task_spaces(evaluation_environment).to_json())
         log = _open_log(config.run.out, state)
         stack.callback(log.close)
         started = time.perf_counter() - state.get("run_log", {}).get("wall_seconds", 0.0)

@@ -118,7 +118,7 @@ def success_rate(
 
     Args:
         episodes: In their order.
-        num_recent: How many are the newest.
+        num_recent: Episodes that count.
         is_defined: Whether the task is known to define success: an episode without a word of it
             then had none. So it is, too, where another of these episodes has a word of it.
     """

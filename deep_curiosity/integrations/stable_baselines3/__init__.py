@@ -4,13 +4,14 @@ Models and buffers are saved and loaded by the library's `pickle`: load only fil
 """
 # ruff: noqa: E402
 
-from deep_curiosity.integrations.requirements import require, warn_if_untested
+from deep_curiosity.requirements import require, warn_if_untested
 
 # before the library is imported for the first time, below
 require("stable_baselines3", extra="sb3")
 warn_if_untested("stable_baselines3", lowest="2.7", below="3")
 
 from deep_curiosity.integrations.stable_baselines3.callback import CuriosityCallback
+from deep_curiosity.integrations.stable_baselines3.hindsight import CuriousHerReplayBuffer
 from deep_curiosity.integrations.stable_baselines3.integration import (
     StableBaselinesIntegration,
     StableBaselinesOnPolicyIntegration,
@@ -29,6 +30,7 @@ __all__ = [
     "CuriosityCallback",
     "CuriousDictReplayBuffer",
     "CuriousDictRolloutBuffer",
+    "CuriousHerReplayBuffer",
     "CuriousNStepReplayBuffer",
     "CuriousReplayBuffer",
     "CuriousRolloutBuffer",

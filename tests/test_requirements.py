@@ -3,8 +3,8 @@ from pathlib import Path
 
 import pytest
 
-from deep_curiosity.integrations import requirements
-from deep_curiosity.integrations.requirements import require, warn_if_untested
+from deep_curiosity import requirements
+from deep_curiosity.requirements import require, warn_if_untested
 
 
 def test_a_missing_package_is_named_with_the_command_that_installs_it() -> None:
@@ -16,13 +16,10 @@ def test_a_package_that_is_there_passes() -> None:
     require("torch", extra="sb3")
 
 
-def test_a_package_that_misses_something_itself_is_not_called_missing(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nothing_is_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "broken_package.py").write_text("import no_such_package\n")
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(ModuleNotFoundError, match="No module named 'no_such_package'"):
-        require("broken_package", extra="sb3")
+    require("broken_package", extra="sb3")
     assert "broken_package" not in sys.modules
 
 
