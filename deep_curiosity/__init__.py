@@ -1,16 +1,20 @@
 """Predictive-information curiosity for continuous control, after Still & Precup (2012).
 
-`Config` and `train` need the extra `scripts`, and are imported where they are used.
+Every name is imported when it is first used: the bonus needs torch, and what trains needs besides
+what `pip install 'deep-curiosity[train]'` brings.
 """
 
-from typing import Any
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
 
-from deep_curiosity.agent.sac import CuriousSAC
-from deep_curiosity.bonuses import Bonus, CuriosityBonus, make_bonus
-from deep_curiosity.replay import ReplayBuffer
-from deep_curiosity.transitions import Transition
+if TYPE_CHECKING:
+    from deep_curiosity.agent.sac import CuriousSAC
+    from deep_curiosity.bonuses import Bonus, CuriosityBonus, make_bonus
+    from deep_curiosity.replay import ReplayBuffer
+    from deep_curiosity.training import Config, continue_run, train
+    from deep_curiosity.transitions import Transition
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 
 __all__ = [
     "Bonus",
@@ -24,11 +28,28 @@ __all__ = [
     "train",
 ]
 
+_MODULES = {
+    "Bonus": "bonuses",
+    "Config": "training",
+    "CuriosityBonus": "bonuses",
+    "CuriousSAC": "agent.sac",
+    "ReplayBuffer": "replay",
+    "Transition": "transitions",
+    "continue_run": "training",
+    "make_bonus": "bonuses",
+    "train": "training",
+}
+"""Module within the package that has each name."""
+
 
 def __getattr__(name: str) -> Any:
-    """Import what trains on request: it needs gymnasium and MuJoCo, the bonus does not."""
-    if name in ("Config", "continue_run", "train"):
-        from deep_curiosity import training
+    """Import a public name when it is first asked for."""
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    value = getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
+    globals()[name] = value
+    return value
 
-        return getattr(training, name)
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -1,23 +1,8 @@
-"""Train the curious agent on a continuous-control task; --help-all shows every setting."""
+"""The same as `deep-curiosity train`."""
 
 import sys
 
-from deep_curiosity.training import train
-from deep_curiosity.training.command_line import parse
-
-
-def main() -> None:
-    """Read the command line, train, and say where the run lies."""
-    try:
-        command = parse(description=__doc__ or "")
-        summary = train(command.config, resume=command.resume)
-    except (ImportError, OSError, RuntimeError, TypeError, ValueError) as error:
-        sys.exit(f"error: {error}")
-    except KeyboardInterrupt:
-        sys.exit(130)
-    folder = command.config.run.out
-    print(f"evaluation return {summary['evaluation_return']}, records in {folder}")
-
+from deep_curiosity.cli import main
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main(["train", *sys.argv[1:]]))

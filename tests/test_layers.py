@@ -12,7 +12,7 @@ from deep_curiosity.bonuses import BONUSES, Bonus
 
 ROOT = Path(deep_curiosity.__file__).parent
 LAYERS = (
-    ("configuration", "schedules", "transitions", "gaussians", "losses", "nn"),
+    ("requirements", "configuration", "schedules", "transitions", "gaussians", "losses", "nn"),
     ("replay",),
     ("speed",),
     ("bonuses",),
@@ -22,6 +22,8 @@ LAYERS = (
     ("integrations", "tabular"),
     ("experiments",),
     ("benchmark",),
+    ("cli",),
+    ("__main__",),
 )
 """From the lowest to the highest: what stands in one line does not import one another."""
 LEVELS = {name: level for level, names in enumerate(LAYERS) for name in names}

@@ -64,12 +64,15 @@ class Command(NamedTuple):
     resume: bool
 
 
-def parse(arguments: Sequence[str] | None = None, *, description: str) -> Command:
+def parse(
+    arguments: Sequence[str] | None = None, *, description: str, prog: str | None = None
+) -> Command:
     """Read a command line; with `--resume` the run's own settings are the defaults.
 
     Args:
         arguments: Those of the process when `None`.
         description: Of the command, for its help.
+        prog: How the command is called, for its help.
 
     Raises:
         FileNotFoundError: If there is no run to continue.
@@ -85,7 +88,8 @@ def parse(arguments: Sequence[str] | None = None, *, description: str) -> Comman
         _known(_peek(given, "--preset"), PRESETS) or "fast",
         bonus=_known(_peek(given, "--bonus"), BONUS_CONFIGS) or base.bonus,
     )
-    read = vars(tyro.cli(_command_class(base, show_all), args=given, description=description))
+    kind = _command_class(base, show_all)
+    read = vars(tyro.cli(kind, args=given, description=description, prog=prog))
     values = {name: _from_text(flat(base)[name], read[name]) for name in flat(base)}
     return Command(base.override(**values), resume is not None)
 

@@ -5,6 +5,7 @@ import multiprocessing
 import signal
 from dataclasses import replace
 from functools import partial
+from importlib import import_module
 from typing import Any
 
 import gymnasium
@@ -13,6 +14,7 @@ from gymnasium import spaces
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv
 
 import deep_curiosity_envs
+from deep_curiosity.requirements import require
 from deep_curiosity.training.config import EnvironmentConfig
 from deep_curiosity.training.frame_stack import FrameStack, VectorFrameStack
 
@@ -163,7 +165,8 @@ def registered_id(env_id: str) -> str:
         ImportError: If a dm_control id is wanted without its extra.
     """
     if env_id.startswith("dm_control/"):
-        _require_shimmy()
+        require("shimmy", extra="dmc")
+        import_module("shimmy")  # which registers them
     known = list(gymnasium.registry)
     for candidate in (env_id, f"deep_curiosity/{env_id}", f"deep_curiosity/{env_id}-v0"):
         if candidate in known:
@@ -173,13 +176,6 @@ def registered_id(env_id: str) -> str:
         f"`env_id` must be a registered id such as {', '.join(nearest or known[-3:])}; "
         f"got {env_id!r}. Tasks of this package: {', '.join(deep_curiosity_envs.TASK_IDS)}."
     )
-
-
-def _require_shimmy() -> None:
-    try:
-        import shimmy  # noqa: F401
-    except ImportError as error:
-        raise ImportError("shimmy is missing: pip install 'deep-curiosity[dmc]'") from error
 
 
 class _TerminationIsSuccess(gymnasium.Wrapper):

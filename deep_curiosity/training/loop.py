@@ -8,7 +8,6 @@ from torch import Tensor
 from tqdm import tqdm
 
 from deep_curiosity.training.config import Config
-from deep_curiosity.training.figures import plot_run
 from deep_curiosity.training.hunger import HungerFunction
 from deep_curiosity.training.interruption import catch_interruption
 from deep_curiosity.training.log import read_config
@@ -94,10 +93,17 @@ def train(
         bar.close()
         run.save()
         summary = run.write_summary()
-        plot_run(course.out)
+        _plot(course.out)
         if not run.finished:
             print(f"Stopped at step {run_log.step}; continue with --resume {course.out}")
         return summary
+
+
+def _plot(folder: Path) -> None:
+    """Leave the picture of the run in its folder."""
+    from deep_curiosity.training.figures import plot_run  # here, as Matplotlib takes a second
+
+    plot_run(folder)
 
 
 def continue_run(

@@ -4,12 +4,12 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
-import imageio.v2 as imageio
 import numpy as np
 from numpy.typing import NDArray
 
 from deep_curiosity.agent.config import ConditionedHunger
 from deep_curiosity.agent.sac import CuriousSAC
+from deep_curiosity.requirements import require
 from deep_curiosity.training.checkpoint import load_checkpoint
 from deep_curiosity.training.collector import Collector, Episode, Policy, as_batch
 from deep_curiosity.training.config import Config
@@ -79,7 +79,14 @@ def record_episode(
 
 
 def write_video(path: Path, frames: list[NDArray[np.uint8]], *, fps: int) -> None:
-    """Write frames to a file whose suffix names the format, such as .mp4 or .gif."""
+    """Write frames to a file whose suffix names the format, such as .mp4 or .gif.
+
+    Raises:
+        ImportError: If imageio is missing.
+    """
+    require("imageio", extra="video")
+    import imageio.v2 as imageio
+
     path.parent.mkdir(parents=True, exist_ok=True)
     pace: dict[str, Any] = {"duration": 1000 / fps} if path.suffix == ".gif" else {"fps": fps}
     imageio.mimwrite(path, list(frames), **pace)

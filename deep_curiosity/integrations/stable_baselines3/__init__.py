@@ -1,7 +1,7 @@
 """Curiosity for the agents of Stable-Baselines3: a buffer class to hand in, and a callback."""
 # ruff: noqa: E402
 
-from deep_curiosity.integrations.requirements import require, warn_if_untested
+from deep_curiosity.requirements import require, warn_if_untested
 
 # before the library is imported for the first time, below
 require("stable_baselines3", extra="sb3")

@@ -3,8 +3,8 @@ from pathlib import Path
 
 import pytest
 
-from deep_curiosity.integrations import requirements
-from deep_curiosity.integrations.requirements import require, warn_if_untested
+from deep_curiosity import requirements
+from deep_curiosity.requirements import require, warn_if_untested
 
 
 def test_a_missing_package_is_named_with_the_command_that_installs_it() -> None:
@@ -21,9 +21,13 @@ def test_a_package_that_misses_something_itself_is_not_called_missing(
 ) -> None:
     (tmp_path / "broken_package.py").write_text("import no_such_package\n")
     monkeypatch.syspath_prepend(tmp_path)
-    with pytest.raises(ModuleNotFoundError, match="No module named 'no_such_package'"):
-        require("broken_package", extra="sb3")
-    assert "broken_package" not in sys.modules
+    require("broken_package", extra="sb3")
+    assert "broken_package" not in sys.modules  # nothing is imported
+
+
+def test_all_that_are_missing_are_named_at_once() -> None:
+    with pytest.raises(ImportError, match="^no_such, nor_such are missing: pip install"):
+        require("no_such", "torch", "nor_such", extra="sb3")
 
 
 @pytest.mark.parametrize("installed", ["2.7", "2.7.0a1", "2.9.2", "2.10"])
