@@ -1,7 +1,7 @@
 """Predictive-information curiosity for continuous control, after Still & Precup (2012).
 
-Every name is imported when it is first used: the bonus needs torch, and what trains needs besides
-what `pip install 'deep-curiosity[train]'` brings.
+Every name is imported when it is first used: the bonus and what was learned need torch, and what
+trains needs besides what `pip install 'deep-curiosity[train]'` brings.
 """
 
 from importlib import import_module
@@ -11,7 +11,11 @@ if TYPE_CHECKING:
     from deep_curiosity.agent.sac import CuriousSAC
     from deep_curiosity.bonuses import Bonus, CuriosityBonus, make_bonus
     from deep_curiosity.replay import ReplayBuffer
-    from deep_curiosity.training import Config, continue_run, train
+    from deep_curiosity.trained.export import export
+    from deep_curiosity.trained.model import load_bonus, load_model
+    from deep_curiosity.trained.policy import load
+    from deep_curiosity.trained.run import continue_run, train
+    from deep_curiosity.training import Config
     from deep_curiosity.transitions import Transition
 
 __version__ = "0.2.0"
@@ -24,6 +28,10 @@ __all__ = [
     "ReplayBuffer",
     "Transition",
     "continue_run",
+    "export",
+    "load",
+    "load_bonus",
+    "load_model",
     "make_bonus",
     "train",
 ]
@@ -35,9 +43,13 @@ _MODULES = {
     "CuriousSAC": "agent.sac",
     "ReplayBuffer": "replay",
     "Transition": "transitions",
-    "continue_run": "training",
+    "continue_run": "trained.run",
+    "export": "trained.export",
+    "load": "trained.policy",
+    "load_bonus": "trained.model",
+    "load_model": "trained.model",
     "make_bonus": "bonuses",
-    "train": "training",
+    "train": "trained.run",
 }
 """Module within the package that has each name."""
 

@@ -271,6 +271,29 @@ class ReplayBuffer:
         self._num_added = state["num_added"]
         self._generator.set_state(state["generator"])
 
+    def take_over(self, state: dict[str, Any]) -> None:
+        """Begin with the newest transitions of another buffer, as many as there is room for.
+
+        What was an episode in progress there is cut off here: nothing is known of what followed.
+
+        Args:
+            state: Of a buffer with transitions of the same sizes, from as many environments.
+
+        Raises:
+            ValueError: If the rows have other sizes.
+        """
+        rows = state["rows"]
+        if rows.shape[1:] != self._rows.shape[1:]:
+            raise ValueError(
+                f"`rows` must have {self._rows.shape[1]} entries, got {rows.shape[1]}."
+            )
+        split = state["num_added"] % max(1, len(rows))
+        rows = torch.cat([rows[split:], rows[:split]])  # oldest first
+        rows[-self.num_envs :, -1] = 1.0
+        held = rows[-self.capacity :]
+        self._rows[: len(held)] = held
+        self._num_added = len(held)
+
     def to_torchrl(self) -> "TorchRLReplayBuffer":
         """Copy into a torchrl buffer under torchrl's usual keys.
 

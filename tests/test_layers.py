@@ -19,7 +19,7 @@ LAYERS = (
     ("agent",),
     ("speed.numpy_policy",),
     ("training",),
-    ("integrations", "tabular"),
+    ("integrations", "tabular", "trained"),
     ("experiments",),
     ("benchmark",),
     ("cli",),

@@ -4,6 +4,7 @@ import math
 from collections.abc import Callable, Sequence
 from typing import Literal, get_args
 
+import numpy as np
 import torch
 from jaxtyping import Bool, Float
 from torch import Tensor, nn
@@ -22,6 +23,7 @@ Features = Callable[[Tensor], Tensor]
 LOG_VAR_RANGE = (-9.0, 2.0)  # of the whitened change: sharper is float noise, wider is ignorance
 HELD_OUT_SHARE = 20  # one transition in twenty is never trained on
 HELD_OUT_DECAY = 0.98  # of the held-out averages, for each batch
+NUM_NODES = 32  # of the quadrature over a prediction in units that saturate
 
 
 class DynamicsEnsemble(nn.Module):
@@ -181,6 +183,53 @@ class DynamicsEnsemble(nn.Module):
         observation, action, _, next_observation, *_ = transition
         change, target = self._change_and_target(observation, action, next_observation)
         return -change.log_prob(target)
+
+    def change(
+        self,
+        observation: Float[Tensor, "batch observation_dim"],
+        action: Float[Tensor, "batch action_dim"],
+    ) -> tuple[Float[Tensor, "members batch features"], Float[Tensor, "members batch features"]]:
+        """Mean and variance of the change under each member, in units of the features.
+
+        By quadrature, since units may saturate. What `noise_floor` adds is not in them.
+        """
+        prediction = self._whitened_change(observation, action)
+        node, weight = map(torch.from_numpy, np.polynomial.hermite_e.hermegauss(NUM_NODES))
+        weight = weight / weight.sum()
+        points = prediction.component_samples(  # nodes members batch components features
+            node[:, None, None, None, None].expand(NUM_NODES, *prediction.loc.shape)
+        )
+        change = self.change_moments.denormalize(points)
+        share = weight[:, None, None, None] * prediction.log_weight.exp()  # nodes ... components
+        mean = (share.unsqueeze(-1) * change).sum((0, -2))
+        deviation = change - mean.unsqueeze(-2)
+        return mean, (share.unsqueeze(-1) * deviation.square()).sum((0, -2))
+
+    def sample_change(
+        self,
+        observation: Float[Tensor, "batch observation_dim"],
+        action: Float[Tensor, "batch action_dim"],
+        noise: Float[Tensor, "samples batch features"],
+        choice: Float[Tensor, "samples batch"],
+    ) -> Float[Tensor, "samples batch features"]:
+        """Changes in units of the features, each from one component of one member.
+
+        Args:
+            observation: Where.
+            action: What is done there, in [-1, 1].
+            noise: Standard normal numbers.
+            choice: Uniform numbers in [0, 1), by which member and component are chosen.
+        """
+        prediction = self._whitened_change(observation, action)
+        components = prediction.loc.movedim(0, -3).flatten(-3, -2)  # batch members*components ...
+        widths = prediction.log_var.movedim(0, -3).flatten(-3, -2)
+        weight = prediction.log_weight.movedim(0, -2).flatten(-2).exp() / self.num_members
+        threshold = weight.cumsum(-1).expand(len(choice), -1, -1).contiguous()
+        chosen = torch.searchsorted(threshold, choice.unsqueeze(-1), right=True)
+        chosen = chosen.clamp(max=weight.shape[-1] - 1).unsqueeze(-1)  # samples batch 1 1
+        loc = torch.take_along_dim(components.unsqueeze(0), chosen, dim=-2).squeeze(-2)
+        log_var = torch.take_along_dim(widths.unsqueeze(0), chosen, dim=-2).squeeze(-2)
+        return self.change_moments.denormalize(loc + torch.exp(0.5 * log_var) * noise)
 
     @torch.no_grad()
     def observe(self, transition: Transition) -> None:

@@ -14,7 +14,7 @@ from deep_curiosity.bonuses.learner import BonusLearner
 from deep_curiosity.experiments.runs import changed_settings
 from deep_curiosity.replay import ReplayBuffer
 from deep_curiosity.training.environments import make_environment
-from deep_curiosity.training.learner import make_run_bonus
+from deep_curiosity.training.parts import make_run_bonus
 from deep_curiosity.training.source import source_commit
 from deep_curiosity.transitions import Transition
 

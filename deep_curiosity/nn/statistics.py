@@ -86,6 +86,10 @@ class RunningMoments(nn.Module):
         """Centre, scale, and cut at 10 of its scales."""
         return ((value - self.center) / self.scale).clamp(-WHITENED_BOUND, WHITENED_BOUND)
 
+    def denormalize(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch dim"]:
+        """What `normalize` makes this value of, where it cuts nothing."""
+        return self.center + self.scale * value
+
     def log_slope(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch dim"]:
         """Log of the slope of `normalize` there, in units of `1 / scale`; the cut is left out."""
         return torch.zeros_like(value)
@@ -177,6 +181,10 @@ class SaturatingMoments(RobustMoments):
     def normalize(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch dim"]:
         """Centre, scale, and saturate."""
         return torch.asinh((value - self.center) / self.scale)
+
+    def denormalize(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch dim"]:
+        """What `normalize` makes this value of."""
+        return self.center + self.scale * torch.sinh(value)
 
     def log_slope(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch dim"]:
         """Log of the slope of `normalize` there, in units of `1 / scale`: at most 0."""

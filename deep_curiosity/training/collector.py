@@ -1,7 +1,11 @@
 """Collection: environments stepped with full knowledge of how to get back to any step."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
+
+from deep_curiosity.requirements import require_training
+
+require_training()
 
 import math
-from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -10,13 +14,8 @@ import torch
 from gymnasium.vector import AutoresetMode, VectorEnv
 from torch import Tensor
 
+from deep_curiosity.training.interfaces import Policy
 from deep_curiosity.training.single_environment import SingleEnvironment
-
-Info = Mapping[str, Any]
-"""Entries of the info of every environment, `(num_envs,)` each."""
-Policy = Callable[[Tensor, Info], Tensor]
-"""Observations `(batch, observation_dim)`, and the info that came with them, to actions
-`(batch, action_dim)`."""
 
 
 class Episode(NamedTuple):

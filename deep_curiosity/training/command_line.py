@@ -1,4 +1,9 @@
 """The command line of a run: every setting by its flat name, the common ones in `--help`."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
+
+from deep_curiosity.requirements import require_training
+
+require_training()
 
 import ast
 import inspect
@@ -26,6 +31,7 @@ COMMON = (
     "total_steps",
     "seed",
     "out",
+    "init_from",
     "learning_starts",
     "update_to_data",
     "exploration",

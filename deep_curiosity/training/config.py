@@ -60,8 +60,13 @@ class RunConfig(Group):
     """Seeds torch, the environments and the replay."""
     out: Path = Path("runs/latest")
     """Folder that receives the run; must not hold one already."""
+    init_from: Path | None = None
+    """Folder of a run, in the same or another task of the same sizes, whose policy, values, models
+    and their statistics this one begins with; it then acts by its policy from the first step."""
+    init_replay: bool = False
+    """Take the transitions of that run as well, where they tell of this task and its reward."""
     learning_starts: int = setting(500, at_least=0)
-    """Steps of uniformly random actions before the first update."""
+    """Steps before the first update, of uniformly random actions unless `init_from` is set."""
     update_to_data: float = setting(1.0, above=0)
     """Updates per environment step once learning has begun; 0.25 is one at every fourth step."""
     batch_size: int = 256
@@ -208,6 +213,8 @@ def _refuse_idle_settings(config: Config) -> None:
     Raises:
         ValueError: Naming the setting, why it would do nothing, and its value.
     """
+    if config.run.init_replay and config.run.init_from is None:
+        raise ValueError("`init_replay` must be left out without `init_from`, got True.")
     if config.bonus.kind == "none":
         if config.agent.is_conditioned:
             raise ValueError(

@@ -1,4 +1,9 @@
 """Environments that the agent can act in: found by id, checked, brought to one form."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
+
+from deep_curiosity.requirements import require_training
+
+require_training()
 
 import difflib
 import multiprocessing
@@ -12,11 +17,13 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv
+from gymnasium.wrappers import FlattenObservation, RescaleAction
 
 import deep_curiosity_envs
 from deep_curiosity.requirements import require
 from deep_curiosity.training.config import EnvironmentConfig
 from deep_curiosity.training.frame_stack import FrameStack, VectorFrameStack
+from deep_curiosity.training.spaces import Entry, TaskSpaces
 
 GOAL_ENDS_EPISODE = frozenset({"MountainCarContinuous-v0"})
 """Tasks that say nothing of success, but terminate at the goal and nowhere else."""
@@ -148,6 +155,32 @@ def observation_dim(environment: gymnasium.Env) -> int:
 def action_dim(environment: gymnasium.Env) -> int:
     """Length of an action of an environment made here."""
     return int(np.prod(environment.action_space.shape or ()))
+
+
+def task_spaces(environment: gymnasium.Env) -> TaskSpaces:
+    """Spaces of the task below the wrappers of an environment made here."""
+    layers = [environment]
+    while isinstance(layers[-1], gymnasium.Wrapper):
+        layers.append(layers[-1].env)
+    (rescaled,) = (each for each in layers if isinstance(each, RescaleAction))
+    flattened = [each for each in layers if isinstance(each, FlattenObservation)]
+    actions = rescaled.env.action_space
+    assert isinstance(actions, spaces.Box)
+    return TaskSpaces(
+        observation_dim(rescaled),
+        tuple(actions.low.tolist()),
+        tuple(actions.high.tolist()),
+        str(actions.dtype),
+        tuple(entry for each in flattened for entry in _entries(each.env.observation_space)),
+    )
+
+
+def _entries(space: spaces.Space, path: tuple[str, ...] = ()) -> list[Entry]:
+    """Entries of a dictionary space in the order in which it is flattened; none of another."""
+    if not isinstance(space, spaces.Dict):
+        return [Entry(path, space.shape)] if path and isinstance(space, spaces.Box) else []
+    below = [_entries(each, (*path, key)) for key, each in space.spaces.items()]
+    return [entry for each in below for entry in each] if all(below) else []
 
 
 def _make_in_worker(config: EnvironmentConfig) -> gymnasium.Env:

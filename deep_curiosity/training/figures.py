@@ -1,4 +1,9 @@
 """Pictures of a run, made from the files it left."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
+
+from deep_curiosity.requirements import require_training
+
+require_training()
 
 from pathlib import Path
 

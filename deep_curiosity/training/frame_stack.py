@@ -1,9 +1,9 @@
-"""Windows of the latest observations and actions, for tasks that show only part of their state.
+"""Environments that show a window of their latest observations and actions, see `windows`."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
 
-A window is the latest observations with the actions between them, flattened in the order in which
-they came: observation, action, observation, and so on, the newest observation last. When an
-episode begins, its first observation stands for those before it, and zero for the actions.
-"""
+from deep_curiosity.requirements import require_training
+
+require_training()
 
 from typing import Any
 
@@ -12,6 +12,8 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
+
+from deep_curiosity.training.windows import first_window, next_window
 
 
 class FrameStack(gymnasium.Wrapper):
@@ -36,13 +38,14 @@ class FrameStack(gymnasium.Wrapper):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin an episode, and forget the one before."""
         observation, info = self.env.reset(seed=seed, options=options)
-        self._window = first_window(observation, self.action_space, self.num_frames)
+        self._window = first_window(observation, _size(self.action_space), self.num_frames)
         return self._window, info
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, Any, bool, bool, dict[str, Any]]:
         """Move the window by one step."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        self._window = next_window(self._window, action, observation, self.action_space)
+        taken = _clipped(action, self.action_space)
+        self._window = next_window(self._window, taken, observation)
         return self._window, reward, terminated, truncated, info
 
 
@@ -75,7 +78,7 @@ class VectorFrameStack(VectorWrapper):
         everywhere = np.ones(self.num_envs, dtype=bool)
         mask = (options or {}).get("reset_mask", everywhere)  # before Gymnasium takes it out
         observation, info = self.env.reset(seed=seed, options=options)
-        first = first_window(observation, self.single_action_space, self.num_frames)
+        first = first_window(observation, _size(self.single_action_space), self.num_frames)
         self._window = np.where(mask[:, None], first, self._window)
         return self._window, info
 
@@ -84,7 +87,8 @@ class VectorFrameStack(VectorWrapper):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Move every window by one step."""
         observation, reward, terminated, truncated, info = self.env.step(actions)
-        self._window = next_window(self._window, actions, observation, self.single_action_space)
+        taken = _clipped(actions, self.single_action_space)
+        self._window = next_window(self._window, taken, observation)
         return self._window, reward, terminated, truncated, info
 
 
@@ -109,20 +113,13 @@ def window_space(
     return spaces.Box(low, high, dtype=observation_space.dtype.type)
 
 
-def first_window(
-    observation: np.ndarray, action_space: spaces.Space, num_frames: int
-) -> np.ndarray:
-    """Windows at the start of episodes, `(*batch, window_dim)`."""
-    idle = np.zeros((*observation.shape[:-1], *(action_space.shape or ())), observation.dtype)
-    past = np.concatenate((observation, idle), axis=-1)
-    return np.concatenate((np.tile(past, num_frames - 1), observation), axis=-1)
+def _size(space: spaces.Space) -> int:
+    (size,) = space.shape or ()
+    return size
 
 
-def next_window(
-    window: np.ndarray, action: np.ndarray, observation: np.ndarray, action_space: spaces.Space
-) -> np.ndarray:
-    """Windows one step later, with the action as the space clips it, `(*batch, window_dim)`."""
-    assert isinstance(action_space, spaces.Box)
-    taken = np.clip(action, action_space.low, action_space.high).astype(window.dtype)
-    longer = np.concatenate((window, taken, observation), axis=-1)
-    return longer[..., -window.shape[-1] :]
+def _clipped(action: np.ndarray, space: spaces.Space) -> np.ndarray:
+    """An action as the space clips it."""
+    assert isinstance(space, spaces.Box)
+    clipped: np.ndarray = np.clip(action, space.low, space.high)
+    return clipped

@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 
 from deep_curiosity.agent.config import ConditionedHunger
 from deep_curiosity.schedules import Schedule
-from deep_curiosity.training.collector import Info
 from deep_curiosity.training.config import Config
+from deep_curiosity.training.interfaces import Info
 
 RANDOM_HUNGERS = (0.0, 0.5, 1.0, 1.0)  # one episode of four is purely curious, two are greedy
 CHARGE_OF_FULL_HUNGER = 0.5  # of a charge, at which only reward counts

@@ -13,7 +13,7 @@ from deep_curiosity.schedules import Schedule
 from deep_curiosity.speed.compile import compiled
 from deep_curiosity.speed.machine import should_compile
 from deep_curiosity.speed.numpy_policy import NumpyPolicy
-from deep_curiosity.training.collector import Info, Policy, Step, as_batch
+from deep_curiosity.training.collector import Step, as_batch
 from deep_curiosity.training.config import Config
 from deep_curiosity.training.exploration import Noise, make_noise
 from deep_curiosity.training.greedy import GreedyStretches
@@ -22,6 +22,8 @@ from deep_curiosity.training.hunger import (
     HungerFunction,
     make_hunger_controller,
 )
+from deep_curiosity.training.interfaces import Info, Policy
+from deep_curiosity.training.parts import make_agent, make_run_bonus
 from deep_curiosity.transitions import Transition
 
 NUM_DIAGNOSED_STATES = 512  # of replay, over which the information of the actions is estimated
@@ -285,25 +287,3 @@ def compiles(config: Config) -> bool:
     """Whether the updates of a run are compiled."""
     num_updates = (config.run.total_steps - config.run.learning_starts) * config.run.update_to_data
     return should_compile(config.speed, num_updates)
-
-
-def make_agent(config: Config, observation_dim: int, action_dim: int) -> CuriousSAC:
-    """Agent of a run."""
-    curiosity = config.bonus.kind != "none"
-    return CuriousSAC(observation_dim, action_dim, config.agent, curiosity=curiosity)
-
-
-def make_run_bonus(config: Config, observation_dim: int, action_dim: int) -> Bonus | None:
-    """Bonus of a run, or `None` for plain soft actor-critic.
-
-    With a frame stack, curiosity is by default about the two newest observations. Two, since a
-    speed is in their difference; what is older, and the actions, tell little of where an action
-    leads.
-    """
-    bonus, stack = config.bonus, config.environment.frame_stack
-    if stack > 1:
-        size = (observation_dim - (stack - 1) * action_dim) // stack
-        before = size + action_dim
-        bonus = bonus.about((*range(-before - size, -before), *range(-size, 0)))
-    hidden_dims = (config.agent.hidden_dim, config.agent.hidden_dim)
-    return bonus.make(observation_dim, action_dim, hidden_dims)

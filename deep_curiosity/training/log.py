@@ -6,8 +6,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from torch.utils.tensorboard import SummaryWriter
-
 from deep_curiosity.training.config import Config
 
 CONFIG = "config.json"
@@ -75,6 +73,8 @@ class Log:
         self._rows = [row for row in read_progress(folder) if float(row["step"]) <= start]
         self._columns = list(self._rows[0]) if self._rows else []
         self._write_all()
+        from torch.utils.tensorboard import SummaryWriter
+
         self._writer = SummaryWriter(str(folder), purge_step=start + 1 if start else None)
 
     def scalars(self, step: int, values: Mapping[str, float]) -> None:

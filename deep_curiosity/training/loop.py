@@ -1,4 +1,9 @@
 """The training loop, read from top to bottom like the algorithm box of the paper's section 4."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
+
+from deep_curiosity.requirements import require_training
+
+require_training()
 
 import time
 from pathlib import Path
@@ -58,11 +63,12 @@ def train(
         while not run.finished and not interruption.requested:
             step_started = time.perf_counter()
             learning = run_log.step >= course.learning_starts
+            uniform = not learning and course.init_from is None
             learner.before_step(run_log.step, collector.observation, collector.present_info)
             run_log.step += num_envs
 
             # (d) Choose an action, obtain reward and next state; both are kept as they are
-            action = learner.act(collector.observation, explore_uniformly=not learning)
+            action = learner.act(collector.observation, explore_uniformly=uniform)
             step, finished = collector.step(action)
             learner.store(step)
             run_log.on_step(collector.info)

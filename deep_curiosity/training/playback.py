@@ -1,4 +1,9 @@
 """Playing a trained agent back: its weights from a checkpoint, its episodes as video."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
+
+from deep_curiosity.requirements import require_training
+
+require_training()
 
 from pathlib import Path
 from typing import Any
@@ -11,11 +16,13 @@ from deep_curiosity.agent.config import ConditionedHunger
 from deep_curiosity.agent.sac import CuriousSAC
 from deep_curiosity.requirements import require
 from deep_curiosity.training.checkpoint import load_checkpoint
-from deep_curiosity.training.collector import Collector, Episode, Policy, as_batch
+from deep_curiosity.training.collector import Collector, Episode, as_batch
 from deep_curiosity.training.config import Config
 from deep_curiosity.training.environments import action_dim, observation_dim
 from deep_curiosity.training.hunger import make_hunger_controller
-from deep_curiosity.training.learner import make_agent, make_evaluation_policy
+from deep_curiosity.training.interfaces import Policy
+from deep_curiosity.training.learner import make_evaluation_policy
+from deep_curiosity.training.parts import make_agent
 
 
 def load_agent(folder: Path, config: Config, environment: gymnasium.Env) -> CuriousSAC:

@@ -1,4 +1,9 @@
 """A run in progress: its parts, opened together, saved together, closed together."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
+
+from deep_curiosity.requirements import require_training
+
+require_training()
 
 import math
 import sys
@@ -27,6 +32,7 @@ from deep_curiosity.training.environments import (
     make_vector_environment,
     num_cells,
     observation_dim,
+    task_spaces,
 )
 from deep_curiosity.training.hunger import HungerFunction
 from deep_curiosity.training.learner import Learner, compiles
@@ -40,6 +46,8 @@ from deep_curiosity.training.log import (
 )
 from deep_curiosity.training.run_log import RunLog, mean_return, success_rate
 from deep_curiosity.training.source import source_commit
+from deep_curiosity.training.spaces import write_spaces
+from deep_curiosity.training.warm_start import begin_from
 
 EVALUATION_SEED = 1_000_003  # apart from the seeds of training, the same in every run
 
@@ -184,7 +192,9 @@ def open_run(
             write_json(config.run.out / CONFIG, config.to_json())
         else:
             run_log = RunLog()
+            begin_from(config, learner)
             open_folder(config)
+        write_spaces(config.run.out, task_spaces(evaluation_environment))
         log = Log(config.run.out, start=run_log.step)
         stack.callback(log.close)
         started = time.perf_counter() - run_log.wall_seconds

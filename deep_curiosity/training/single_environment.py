@@ -1,4 +1,9 @@
 """One environment with the interface of several, at a tenth of what Gymnasium's own way costs."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
+
+from deep_curiosity.requirements import require_training
+
+require_training()
 
 from typing import Any
 

@@ -11,7 +11,7 @@ from deep_curiosity.training.collector import Collector
 from deep_curiosity.training.config import EnvironmentConfig
 from deep_curiosity.training.environments import make_environment, make_vector_environment
 from deep_curiosity.training.frame_stack import FrameStack, VectorFrameStack
-from deep_curiosity.training.learner import make_run_bonus
+from deep_curiosity.training.parts import make_run_bonus
 
 
 class Counter(gymnasium.Env):

@@ -1,0 +1,184 @@
+"""Policies that leave the house: as ONNX, as a torch program, or as safetensors with settings."""
+
+import warnings
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import torch
+from torch import Tensor, nn
+
+from deep_curiosity.requirements import require
+from deep_curiosity.trained.policy import ActionBounds, TrainedPolicy
+from deep_curiosity.trained.source import BONUS_WEIGHTS, WEIGHTS, Trained, Weights, read_trained
+from deep_curiosity.training.log import CONFIG, write_json
+from deep_curiosity.training.spaces import write_spaces
+
+Format = Literal["onnx", "torch", "safetensors"]
+OPSET = 18  # the lowest that torch's exporter writes without converting
+OF_A_MACHINE = ("out", "device", "init_from", "init_replay", "threads", "matmul_precision")
+"""Settings that mean nothing where the files are read."""
+
+
+class Actor(nn.Module):
+    """One policy of a run as a plain network: observations in, actions of the task out.
+
+    Args:
+        policy: Of the run.
+        curious: Take the curious policy, in the place of the greedy one.
+    """
+
+    low: Tensor
+    high: Tensor
+
+    def __init__(self, policy: TrainedPolicy, *, curious: bool = False) -> None:
+        super().__init__()
+        network, number = policy.network, -1 if curious else 0
+        self.layers = nn.ModuleList(
+            _linear(layer.weight[number], layer.bias[number, 0])
+            for layer in network.network.layers
+        )
+        self.action_dim = network.action_dim
+        self.components = network.mixture_components
+        self.register_buffer("low", torch.tensor(policy.spaces.action_low, dtype=torch.float32))
+        self.register_buffer("high", torch.tensor(policy.spaces.action_high, dtype=torch.float32))
+
+    def forward(self, observation: Tensor, hunger: Tensor | None = None) -> Tensor:
+        """Centre of the policy, in units of the task.
+
+        Args:
+            observation: `(batch, observation_dim)`; windows where the run stacked frames.
+            hunger: `(batch, 1)`, of a run that is conditioned on it.
+        """
+        value = observation if hunger is None else torch.cat([observation, hunger], dim=-1)
+        for layer in self.layers[:-1]:
+            value = torch.relu(layer(value))
+        action = torch.tanh(self._centre(self.layers[-1](value)))
+        return self.low + (self.high - self.low) * (action + 1) / 2
+
+    def _centre(self, output: Tensor) -> Tensor:
+        """Mean of the weightiest component."""
+        width = 2 * self.action_dim
+        if self.components == 1:
+            return output[:, : self.action_dim]
+        means = output[:, : width * self.components].unflatten(-1, (self.components, width))
+        others = output[:, width * self.components :]
+        logits = torch.cat([torch.zeros_like(others[:, :1]), others], dim=-1)
+        chosen = logits.argmax(-1, keepdim=True).unsqueeze(-1).expand(-1, 1, self.action_dim)
+        return means[..., : self.action_dim].gather(1, chosen).squeeze(1)
+
+
+def export(
+    folder: str | Path,
+    out: str | Path,
+    *,
+    format: Format | None = None,
+    curious: bool = False,
+    action_bounds: ActionBounds | None = None,
+) -> Path:
+    """Write the policy of a run for use elsewhere.
+
+    A file of ONNX or of torch takes `observation`, `(batch, observation_dim)` in float32, and
+    behind it `hunger`, `(batch, 1)`, of a run that is conditioned on it; it gives `action`,
+    `(batch, action_dim)`, the centre of the policy in units of the task. A folder of safetensors
+    holds the settings, both policies, and models and statistics of the bonus: `load`, `load_model`
+    and `load_bonus` read it.
+
+    Args:
+        folder: Of a finished or interrupted run, or of an export of safetensors.
+        out: A file ending in .onnx or .pt2, or the name of a folder.
+        format: By default as `out` ends: `"onnx"`, `"torch"` for .pt2, and `"safetensors"` for a
+            folder.
+        curious: Take the curious policy; a folder holds both anyway.
+        action_bounds: As for `load`.
+
+    Returns:
+        What was written.
+
+    Raises:
+        FileExistsError: If there is something of this name.
+        ImportError: If what the format needs is missing.
+        ValueError: If the format is unknown, or the run has no curious policy of its own.
+    """
+    out = Path(out)
+    chosen = format or {".onnx": "onnx", ".pt2": "torch"}.get(out.suffix, "safetensors")
+    if chosen not in get_args(Format):
+        raise ValueError(f"`format` must be one of {', '.join(get_args(Format))}, got {chosen!r}.")
+    if out.exists():
+        raise FileExistsError(f"`out` must not be there yet, got {out}.")
+    trained = read_trained(folder)
+    policy = TrainedPolicy(trained, action_bounds)
+    if curious and (chosen == "safetensors" or not policy.has_curious_policy):
+        raise ValueError(
+            "`curious` must be False for a run with one policy, and for a folder of safetensors, "
+            f"which holds both, got True for {folder}."
+        )
+    out.parent.mkdir(parents=True, exist_ok=True)
+    if chosen == "safetensors":
+        _write_folder(trained, policy, out)
+    elif chosen == "onnx":
+        _write_onnx(Actor(policy, curious=curious), _example(policy), out)
+    else:
+        _write_program(Actor(policy, curious=curious), _example(policy), out)
+    return out
+
+
+def _linear(weight: Tensor, bias: Tensor) -> nn.Linear:
+    layer = nn.Linear(*weight.shape)
+    layer.load_state_dict({"weight": weight.mT.contiguous(), "bias": bias})
+    return layer.requires_grad_(False)
+
+
+def _example(policy: TrainedPolicy) -> dict[str, Tensor]:
+    """Inputs of the right sizes."""
+    input_dim = policy.network.network.layers[0].weight.shape[1]
+    batch = 2  # torch takes a batch of one for a constant
+    hunger = {"hunger": torch.ones(batch, 1)} if policy.is_conditioned else {}
+    return {"observation": torch.zeros(batch, input_dim - len(hunger))} | hunger
+
+
+def _write_program(actor: Actor, example: dict[str, Tensor], out: Path) -> None:
+    program = torch.export.export(actor, (), example, dynamic_shapes=_batch_sizes(example))
+    torch.export.save(program, out)
+
+
+def _write_onnx(actor: Actor, example: dict[str, Tensor], out: Path) -> None:
+    require("onnx", "onnxscript", extra="export")
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of torch's exporter about itself
+        torch.onnx.export(
+            actor,
+            (),
+            str(out),
+            kwargs=example,
+            input_names=list(example),
+            output_names=["action"],
+            dynamic_shapes=_batch_sizes(example),
+            opset_version=OPSET,
+            external_data=False,
+            dynamo=True,
+            verbose=False,
+        )
+
+
+def _batch_sizes(example: dict[str, Tensor]) -> dict[str, Any]:
+    batch = torch.export.Dim("batch")
+    return {name: {0: batch} for name in example}
+
+
+def _write_folder(trained: Trained, policy: TrainedPolicy, out: Path) -> None:
+    require("safetensors", extra="export")
+    from safetensors.torch import save_file
+
+    out.mkdir()
+    settings = trained.config.to_json()
+    kept = {name: value for name, value in settings.items() if name not in OF_A_MACHINE}
+    write_json(out / CONFIG, kept)
+    write_spaces(out, policy.spaces)
+    save_file(_contiguous(trained.policy), out / WEIGHTS)
+    if trained.bonus:
+        save_file(_contiguous(trained.bonus), out / BONUS_WEIGHTS)
+
+
+def _contiguous(weights: Weights) -> Weights:
+    """Copies, since safetensors refuses tensors that share memory."""
+    return {name: value.detach().clone().contiguous() for name, value in weights.items()}

@@ -1,0 +1,251 @@
+"""A trained policy for use: NumPy in, actions in the task's own units out."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from numpy.typing import NDArray
+from torch import Tensor
+
+from deep_curiosity.agent.config import ConditionedHunger
+from deep_curiosity.agent.networks import GaussianPolicy
+from deep_curiosity.trained.source import Trained, Weights, read_trained
+from deep_curiosity.training.hunger import battery_hunger
+from deep_curiosity.training.spaces import SPACES, TaskSpaces
+from deep_curiosity.training.windows import first_window, next_window
+
+State = tuple[np.ndarray, ...]
+"""What a policy on a frame stack remembers: its windows, and the actions it gave, in [-1, 1]."""
+Numbers = np.ndarray | np.generic | Sequence[float | int] | float | int
+ActionBounds = tuple[Numbers, Numbers]
+
+
+class TrainedPolicy:
+    """The policy of a run. `predict` has the arguments of Stable-Baselines3's.
+
+    Args:
+        trained: Settings and weights of a run.
+        action_bounds: Least and largest action of the task, `(action_dim,)` each, where the run
+            did not write them down.
+
+    Raises:
+        ValueError: If the bounds are missing, or given twice, or are none.
+    """
+
+    def __init__(self, trained: Trained, action_bounds: ActionBounds | None = None) -> None:
+        self.config = trained.config
+        self.network = make_policy(trained)
+        self.num_frames = trained.config.environment.frame_stack
+        self.spaces = task_spaces(trained, self.network, action_bounds)
+
+    @property
+    def is_conditioned(self) -> bool:
+        """Whether `predict` takes a hunger."""
+        return self.config.agent.is_conditioned
+
+    @property
+    def has_curious_policy(self) -> bool:
+        """Whether there is a curious policy beside the greedy one."""
+        return self.network.network.members > 1
+
+    @torch.no_grad()
+    def predict(
+        self,
+        observation: Any,
+        state: State | None = None,
+        episode_start: Numbers | None = None,
+        deterministic: bool = True,
+        *,
+        curious: bool = False,
+        hunger: Numbers | None = None,
+    ) -> tuple[NDArray[Any], State | None]:
+        """Choose actions.
+
+        Args:
+            observation: `(observation_dim,)` or `(batch, observation_dim)`, or dictionaries as the
+                task gives them; always a single observation of the task, also where the run
+                stacked frames.
+            state: Returned by the call before, where the run stacked frames: the window is kept in
+                it. `None` where every episode begins, or there is no stack.
+            episode_start: Where the state is to be forgotten: one flag, or `(batch,)`.
+            deterministic: Take the centre of the policy; otherwise sample, from torch's own
+                random stream.
+            curious: Act by the curious policy in the place of the greedy one, which wants reward
+                alone and acts in the run's own evaluations.
+            hunger: Of a run that is conditioned on it: from 0, purely curious, to 1, purely
+                greedy; one or `(batch,)`. By default as in the run's own evaluations.
+
+        Returns:
+            Actions in the task's own units and type, `(action_dim,)` or `(batch, action_dim)`; and
+            what is to be given as `state` to the next call, `None` without a stack.
+
+        Raises:
+            ValueError: If the observation has another shape, or an entry that is NaN or infinite,
+                or an argument is out of place in this run.
+        """
+        if curious and not self.has_curious_policy:
+            raise ValueError("`curious` must be False for a run with one policy, got True.")
+        vector = self.spaces.to_vector(observation)
+        batch = as_batch("observation", vector, self.spaces.observation_dim)
+        window = self._window(batch, state, episode_start)
+        entered = self._policy_input(window, hunger)
+        mixture = self.network(torch.from_numpy(entered), -1 if curious else 0)
+        if deterministic:
+            pre_action = mixture.select(mixture.log_weight.argmax(-1))[0]
+        else:
+            pre_action = mixture.sample()
+        action = torch.tanh(pre_action).numpy()
+        chosen = self.spaces.to_task(action)
+        state = (window, action) if self.num_frames > 1 else None
+        return (chosen[0] if vector.ndim == 1 else chosen), state
+
+    def _window(
+        self, batch: NDArray[np.float32], state: State | None, episode_start: Numbers | None
+    ) -> NDArray[np.float32]:
+        """What the policy is shown: the observations, or windows of them."""
+        if self.num_frames == 1:
+            return batch
+        first = first_window(batch, len(self.spaces.action_low), self.num_frames)
+        if state is None:
+            return first
+        window, action = state
+        if len(window) != len(batch):
+            raise ValueError(
+                f"`state` must be that of as many observations, {len(batch)}, got {len(window)}."
+            )
+        later = next_window(window, action, batch)
+        begins = np.zeros(len(batch), dtype=bool) if episode_start is None else episode_start
+        return np.where(np.reshape(begins, (-1, 1)), first, later)
+
+    def _policy_input(
+        self, window: NDArray[np.float32], hunger: Numbers | None
+    ) -> NDArray[np.float32]:
+        """The windows, and behind them the hunger where the run is conditioned on it."""
+        if not self.is_conditioned:
+            if hunger is not None:
+                raise ValueError(
+                    "`hunger` must be left out for a run that is not conditioned on it "
+                    f"(--hunger random, bandit, battery or conditioned:VALUE), got {hunger}."
+                )
+            return window
+        chosen = self._default_hunger(window) if hunger is None else _hunger(hunger, len(window))
+        column = np.broadcast_to(chosen, len(window))[:, None]
+        return np.concatenate([window, column], axis=-1, dtype=np.float32)
+
+    def _default_hunger(self, window: NDArray[np.float32]) -> NDArray[Any]:
+        """As in the run's own evaluations: all for reward, or as a battery says."""
+        source = self.config.agent.hunger
+        assert isinstance(source, ConditionedHunger)
+        if source.source != "battery":
+            return np.ones(())
+        if isinstance(source.entry, str):
+            raise ValueError(
+                f"`hunger` must be given where it depends on {source.entry!r}, which is no part "
+                "of the observation, got None."
+            )
+        return np.asarray(battery_hunger(source.entry, window.shape[-1])(window, {}))
+
+
+def load(folder: str | Path, *, action_bounds: ActionBounds | None = None) -> TrainedPolicy:
+    """Load the policy of a run, as its newest checkpoint has it, or one that was exported.
+
+    Args:
+        folder: Of a finished or interrupted run, or of an export of safetensors.
+        action_bounds: Least and largest action of the task, for a run that did not write them
+            down.
+
+    Returns:
+        The policy, on the CPU, whose `predict` gives actions.
+
+    Raises:
+        FileNotFoundError: If the folder holds neither.
+        ValueError: If the bounds are missing, or given twice, or are none.
+    """
+    return TrainedPolicy(read_trained(folder), action_bounds)
+
+
+def make_policy(trained: Trained) -> GaussianPolicy:
+    """Policies of a run, stacked; all sizes are those of the weights."""
+    weights = hidden_weights(trained.policy)
+    policies, input_dim, _ = weights[0].shape
+    components = trained.config.agent.mixture_components
+    policy = GaussianPolicy(
+        input_dim,
+        ((weights[-1].shape[-1] + 1) // components - 1) // 2,
+        policies=policies,
+        mixture_components=components,
+        hidden_dims=[weight.shape[-1] for weight in weights[:-1]],
+    )
+    policy.load_state_dict(trained.policy)
+    return policy.eval().requires_grad_(False)
+
+
+def hidden_weights(policy: Weights) -> list[Tensor]:
+    """Weights of the layers of stacked policies, `(policies, in, out)` each."""
+    return [value for name, value in policy.items() if name.endswith(".weight")]
+
+
+def sizes(trained: Trained) -> tuple[int, int]:
+    """Length of what policy and models observe, a window where frames are stacked, and of actions.
+
+    Args:
+        trained: Settings and weights of a run.
+    """
+    policy = make_policy(trained)
+    input_dim = policy.network.layers[0].weight.shape[1]
+    return input_dim - int(trained.config.agent.is_conditioned), policy.action_dim
+
+
+def task_spaces(
+    trained: Trained, policy: GaussianPolicy, action_bounds: ActionBounds | None = None
+) -> TaskSpaces:
+    """Spaces of the task of a run, with its bounds of actions as they were written, or given.
+
+    Raises:
+        ValueError: If the bounds are missing, or given twice, or are none.
+    """
+    if trained.spaces is not None:
+        if action_bounds is not None:
+            raise ValueError(
+                f"`action_bounds` must be left out for a run that has a {SPACES}, got "
+                f"{action_bounds}."
+            )
+        return trained.spaces
+    if action_bounds is None:
+        raise ValueError(
+            f"`action_bounds` must be given for a run without a {SPACES}, such as (-1, 1) for the "
+            f"tasks of this package, got None for {trained.folder}."
+        )
+    low, high = (np.broadcast_to(bound, policy.action_dim) for bound in action_bounds)
+    if not (low < high).all():
+        raise ValueError(f"`action_bounds` must be low and high, got {action_bounds}.")
+    frames = trained.config.environment.frame_stack
+    window = sizes(trained)[0]
+    observation_dim = (window - (frames - 1) * policy.action_dim) // frames
+    return TaskSpaces(observation_dim, tuple(low.tolist()), tuple(high.tolist()), "float32")
+
+
+def as_batch(name: str, vector: NDArray[np.float32], dim: int) -> NDArray[np.float32]:
+    """Vectors as a batch of them.
+
+    Raises:
+        ValueError: If they have another length, or an entry that is NaN or infinite.
+    """
+    if vector.ndim not in (1, 2) or vector.shape[-1] != dim:
+        raise ValueError(
+            f"`{name}` must have shape ({dim},) or (batch, {dim}), got {vector.shape}."
+        )
+    if not np.isfinite(vector).all():
+        raise ValueError(f"`{name}` must be finite, got {vector.tolist()}.")
+    return np.atleast_2d(vector)
+
+
+def _hunger(hunger: Numbers, batch: int) -> NDArray[np.float64]:
+    values = np.asarray(hunger, dtype=np.float64)
+    if values.shape not in ((), (batch,)) or not ((values >= 0) & (values <= 1)).all():
+        raise ValueError(
+            f"`hunger` must be one number in [0, 1], or {batch} of them, got {values}."
+        )
+    return values

@@ -1,0 +1,106 @@
+"""Training in one call, and the run that it leaves, with all that was learned."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from deep_curiosity.bonuses.frozen import FrozenBonus
+from deep_curiosity.schedules import Schedule
+from deep_curiosity.trained.model import TrainedModel, load_bonus, load_model
+from deep_curiosity.trained.policy import TrainedPolicy, load
+from deep_curiosity.training.config import Config
+from deep_curiosity.training.hunger import HungerFunction
+
+
+@dataclass(frozen=True)
+class TrainedRun:
+    """A run that has ended, or was interrupted."""
+
+    folder: Path
+    """Its records: settings, progress, checkpoints, picture."""
+    summary: dict[str, Any]
+    """The figures by which runs are compared, as in its `summary.json`."""
+
+    @cached_property
+    def policy(self) -> TrainedPolicy:
+        """Its policy, see `load`."""
+        return load(self.folder)
+
+    @cached_property
+    def model(self) -> TrainedModel:
+        """Its model of the next observation, see `load_model`."""
+        return load_model(self.folder)
+
+    @cached_property
+    def bonus(self) -> FrozenBonus:
+        """Its bonus, frozen, see `load_bonus`."""
+        return load_bonus(self.folder)
+
+
+def train(
+    env: str | None = None,
+    *,
+    hunger: Any = None,
+    show_progress: bool = True,
+    **settings: Any,
+) -> TrainedRun:
+    """Train an agent, and give the run that it leaves in its folder `out`.
+
+    Args:
+        env: Task: its id, such as `"PendulumSwingup"`; by default as in `Config`.
+        hunger: A setting as any other; or a function of observation and info, see
+            `deep_curiosity.training.train`.
+        show_progress: Show a bar with return, bonus in nats and steps per second.
+        **settings: Of `Config`, by their flat names, such as `total_steps`, `out` or
+            `bonus="rnd"`; and `preset`.
+
+    Returns:
+        The run: its folder, summary and policy, and its model and bonus where it has any.
+
+    Raises:
+        FileExistsError: If `out` already holds a run.
+        ImportError: If what training needs is missing.
+        TypeError: If there is no such setting, or a value has the wrong type.
+        ValueError: If the environment or a setting is not one the agent can take.
+    """
+    from deep_curiosity.training.loop import train as train_agent
+
+    is_function = callable(hunger) and not isinstance(hunger, Schedule)
+    function: HungerFunction | None = hunger if is_function else None
+    if hunger is not None and function is None:
+        settings["hunger"] = hunger
+    if env is not None:
+        settings["env_id"] = env
+    config = Config.of(**settings)
+    summary = train_agent(config, hunger=function, show_progress=show_progress)
+    return TrainedRun(config.run.out, summary)
+
+
+def continue_run(
+    folder: str | Path,
+    *,
+    total_steps: int | None = None,
+    hunger: HungerFunction | None = None,
+    show_progress: bool = True,
+) -> TrainedRun:
+    """Continue the run in a folder, in place.
+
+    Args:
+        folder: Of the run.
+        total_steps: Environment steps, those already taken included; as before when `None`.
+        hunger: The function of observation and info that it was begun with, if it was.
+        show_progress: As in `train`.
+
+    Returns:
+        The run, as `train` gives it.
+
+    Raises:
+        FileNotFoundError: If the folder holds no run.
+    """
+    from deep_curiosity.training.loop import continue_run as continue_agent
+
+    summary = continue_agent(
+        folder, total_steps=total_steps, hunger=hunger, show_progress=show_progress
+    )
+    return TrainedRun(Path(folder), summary)

@@ -1,0 +1,64 @@
+"""What is read of a folder, be it of a run or of a policy that was exported."""
+
+from pathlib import Path
+from typing import NamedTuple
+
+from torch import Tensor
+
+from deep_curiosity.requirements import require
+from deep_curiosity.training.checkpoint import load_checkpoint
+from deep_curiosity.training.config import Config
+from deep_curiosity.training.log import CONFIG, read_values
+from deep_curiosity.training.spaces import TaskSpaces, read_spaces
+
+WEIGHTS = "policy.safetensors"
+BONUS_WEIGHTS = "bonus.safetensors"
+POLICY_PREFIX = "policy."
+
+Weights = dict[str, Tensor]
+
+
+class Trained(NamedTuple):
+    """Settings and weights of a run, on the CPU, without what only training needs."""
+
+    folder: Path
+    config: Config
+    spaces: TaskSpaces | None
+    """Of the task; `None` for a run that did not write them down."""
+    policy: Weights
+    bonus: Weights
+    """Models and statistics of the bonus; nothing where there is no bonus."""
+
+
+def read_trained(folder: str | Path) -> Trained:
+    """Read the newest checkpoint of a run, or a folder that `export` wrote.
+
+    Raises:
+        FileNotFoundError: If the folder holds neither, or no checkpoint that can be read.
+        ImportError: If a folder that was exported is to be read, and safetensors is missing.
+        ValueError: If its settings are none.
+    """
+    folder = Path(folder)
+    # where and how it was trained matters no more: the GPU may not be here
+    values = read_values(folder) | {"device": "cpu", "out": str(folder)}
+    config = Config.from_json(values, source=str(folder / CONFIG))
+    policy, bonus = _read_export(folder) if (folder / WEIGHTS).exists() else _read_run(folder)
+    return Trained(folder, config, read_spaces(folder), policy, bonus)
+
+
+def _read_run(folder: Path) -> tuple[Weights, Weights]:
+    learner = load_checkpoint(folder)["learner"]
+    policy = {
+        name.removeprefix(POLICY_PREFIX): value
+        for name, value in learner["agent"].items()
+        if name.startswith(POLICY_PREFIX)
+    }
+    return policy, learner["bonus"]
+
+
+def _read_export(folder: Path) -> tuple[Weights, Weights]:
+    require("safetensors", extra="export")
+    from safetensors.torch import load_file
+
+    bonus = folder / BONUS_WEIGHTS
+    return load_file(folder / WEIGHTS), load_file(bonus) if bonus.exists() else {}

@@ -1,0 +1,27 @@
+"""Agent and bonus of a run, made from its settings."""
+
+from deep_curiosity.agent.sac import CuriousSAC
+from deep_curiosity.bonuses.base import Bonus
+from deep_curiosity.training.config import Config
+
+
+def make_agent(config: Config, observation_dim: int, action_dim: int) -> CuriousSAC:
+    """Agent of a run."""
+    curiosity = config.bonus.kind != "none"
+    return CuriousSAC(observation_dim, action_dim, config.agent, curiosity=curiosity)
+
+
+def make_run_bonus(config: Config, observation_dim: int, action_dim: int) -> Bonus | None:
+    """Bonus of a run, or `None` for plain soft actor-critic.
+
+    With a frame stack, curiosity is by default about the two newest observations. Two, since a
+    speed is in their difference; what is older, and the actions, tell little of where an action
+    leads.
+    """
+    bonus, stack = config.bonus, config.environment.frame_stack
+    if stack > 1:
+        size = (observation_dim - (stack - 1) * action_dim) // stack
+        before = size + action_dim
+        bonus = bonus.about((*range(-before - size, -before), *range(-size, 0)))
+    hidden_dims = (config.agent.hidden_dim, config.agent.hidden_dim)
+    return bonus.make(observation_dim, action_dim, hidden_dims)

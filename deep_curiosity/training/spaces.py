@@ -1,0 +1,105 @@
+"""Spaces of a task as a run writes them down, for whoever acts in it later, without gymnasium."""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+SPACES = "spaces.json"
+
+
+class Entry(NamedTuple):
+    """An entry of a dictionary of observations."""
+
+    path: tuple[str, ...]
+    """Its key, or the keys that lead to it through dictionaries in dictionaries."""
+    shape: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class TaskSpaces:
+    """What a task shows and takes, in units of its own."""
+
+    observation_dim: int
+    """Length of one observation, as a vector."""
+    action_low: tuple[float, ...]
+    action_high: tuple[float, ...]
+    action_dtype: str
+    entries: tuple[Entry, ...] = ()
+    """Of a dictionary of observations, in their order in the vector; none where it is no
+    dictionary of boxes."""
+
+    def to_json(self) -> dict[str, Any]:
+        """As JSON knows it."""
+        return asdict(self) | {"entries": [entry._asdict() for entry in self.entries]}
+
+    @classmethod
+    def from_json(cls, values: Mapping[str, Any]) -> "TaskSpaces":
+        """Read what `to_json` gave."""
+        entries = tuple(
+            Entry(tuple(entry["path"]), tuple(entry["shape"])) for entry in values["entries"]
+        )
+        low, high = tuple(values["action_low"]), tuple(values["action_high"])
+        return cls(values["observation_dim"], low, high, values["action_dtype"], entries)
+
+    def to_task(self, action: NDArray[np.floating]) -> NDArray[Any]:
+        """Actions in [-1, 1] in units of the task, `(*batch, action_dim)`."""
+        low, high = np.array(self.action_low), np.array(self.action_high)
+        scaled = low + (high - low) * (action.astype(np.float64) + 1) / 2
+        return np.clip(scaled, low, high).astype(self.action_dtype)
+
+    def from_task(self, action: Any) -> NDArray[np.float32]:
+        """Actions in units of the task in [-1, 1], cut where they are beyond its bounds."""
+        low, high = np.array(self.action_low), np.array(self.action_high)
+        scaled = 2 * (np.asarray(action, dtype=np.float64) - low) / (high - low) - 1
+        return np.clip(scaled, -1, 1).astype(np.float32)
+
+    def to_vector(self, observation: Any) -> NDArray[np.float32]:
+        """An observation, or a batch of them, as vectors: dictionaries entry behind entry.
+
+        Raises:
+            ValueError: If it is a dictionary and the task's are none, or it lacks an entry.
+        """
+        if not isinstance(observation, Mapping):
+            return np.asarray(observation, dtype=np.float32)
+        if not self.entries:
+            raise ValueError(
+                "`observation` must be an array for a task whose observations are no dictionaries "
+                f"of arrays, got a dictionary of {sorted(observation)}."
+            )
+        return np.concatenate([_vector(observation, entry) for entry in self.entries], axis=-1)
+
+
+def write_spaces(folder: Path, spaces: TaskSpaces) -> None:
+    """Write the spaces of a run into its folder."""
+    (folder / SPACES).write_text(json.dumps(spaces.to_json(), indent=2) + "\n")
+
+
+def read_spaces(folder: Path) -> TaskSpaces | None:
+    """Spaces of the run in a folder; `None` for a run that did not write them down."""
+    path = folder / SPACES
+    return TaskSpaces.from_json(json.loads(path.read_text())) if path.exists() else None
+
+
+def _vector(observation: Any, entry: Entry) -> NDArray[np.float32]:
+    """An entry of a dictionary, flattened behind the batch."""
+    value = observation
+    for key in entry.path:
+        if not isinstance(value, Mapping) or key not in value:
+            raise ValueError(
+                f"`observation` must have the entry {'.'.join(entry.path)!r}, got "
+                f"{sorted(observation)}."
+            )
+        value = value[key]
+    array = np.asarray(value, dtype=np.float32)
+    batch = array.shape[: array.ndim - len(entry.shape)]
+    if array.shape != (*batch, *entry.shape):
+        raise ValueError(
+            f"`observation` must have the shape {entry.shape} in its entry "
+            f"{'.'.join(entry.path)!r}, got {array.shape}."
+        )
+    return array.reshape(*batch, -1)

@@ -1,0 +1,86 @@
+"""Beginning a run with what another has learned."""
+
+from typing import Any
+
+from torch import Tensor
+
+from deep_curiosity.training.checkpoint import load_checkpoint
+from deep_curiosity.training.config import IGNORED, Config
+from deep_curiosity.training.learner import Learner
+from deep_curiosity.training.log import read_values
+
+LEARNED = ("policy.", "critics.", "target_critics.", "prior.", "value_stds")
+"""What of an agent is learned; the rest are settings, optimisers, and what settings start."""
+
+
+def begin_from(config: Config, learner: Learner) -> None:
+    """Give a learner the weights, models and statistics of the run in `init_from`, if one is set.
+
+    Optimisers, temperature and hunger start as the settings of this run say.
+
+    Args:
+        config: Settings of the run that begins.
+        learner: Receives what was learned; it must not have been compiled yet.
+
+    Raises:
+        FileNotFoundError: If the folder holds no run, or no checkpoint that can be read.
+        ValueError: If that run has another bonus, or parts of other sizes.
+    """
+    folder = config.run.init_from
+    if folder is None:
+        return
+    there = read_values(folder)
+    kind = there.get("bonus")
+    if kind != config.bonus.kind:
+        raise ValueError(
+            f"`bonus` must be {kind!r}, that of the run in {folder}, to begin from it, got "
+            f"{config.bonus.kind!r}."
+        )
+    state = load_checkpoint(folder)["learner"]
+    _check_sizes(_learned(learner.agent.state_dict()), _learned(state["agent"]), config, there)
+    learner.agent.load_state_dict(learner.agent.state_dict() | _learned(state["agent"]))
+    if learner.bonus is not None:
+        _check_sizes(learner.bonus.state_dict(), state["bonus"], config, there)
+        learner.bonus.load_state_dict(state["bonus"])
+    if config.run.init_replay:
+        _check_num_envs(config, there)
+        learner.replay.take_over(state["replay"])
+
+
+def _learned(agent: dict[str, Tensor]) -> dict[str, Tensor]:
+    return {name: value for name, value in agent.items() if name.startswith(LEARNED)}
+
+
+def _check_sizes(
+    own: dict[str, Tensor], other: dict[str, Tensor], config: Config, there: dict[str, Any]
+) -> None:
+    """Refuse parts that the other run has not, or has in other shapes."""
+    for name in sorted(own.keys() | other.keys()):
+        shapes = [tuple(each[name].shape) if name in each else None for each in (own, other)]
+        if shapes[0] != shapes[1]:
+            raise ValueError(
+                "`init_from` must be a run whose parts have the sizes of this one, got "
+                f"{config.run.init_from}, where {name} has shape {shapes[1]}, here {shapes[0]}. "
+                f"Settings that differ: {_differences(config, there)}."
+            )
+
+
+def _differences(config: Config, there: dict[str, Any]) -> str:
+    """Settings of two runs that differ, as far as they have to do with sizes."""
+    here = config.to_json()
+    aside = (*IGNORED, "seed", "init_from", "init_replay", "total_steps")
+    differing = [
+        f"{name} ({there.get(name)!r} there, {value!r} here)"
+        for name, value in here.items()
+        if name not in aside and there.get(name) != value
+    ]
+    return ", ".join(differing) or "none; the tasks must have other sizes"
+
+
+def _check_num_envs(config: Config, there: dict[str, Any]) -> None:
+    here, other = config.environment.num_envs, there.get("num_envs")
+    if here != other:
+        raise ValueError(
+            f"`num_envs` must be {other}, that of the run in {config.run.init_from}, to take its "
+            f"replay, got {here}."
+        )
