@@ -4,10 +4,10 @@ import json
 import re
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import pytest
+import tomllib
 
 OF_TRAINING = {"gymnasium", "mujoco", "matplotlib", "tensorboard", "tqdm", "tyro"}
 OTHERS = {
@@ -80,8 +80,10 @@ def test_the_extra_for_training_is_all_that_training_and_the_command_line_need()
     for part in ("training", "cli", "experiments", "tabular"):
         own = {n: m for n, m in messages.items() if n.startswith(f"deep_curiosity.{part}")}
         assert own
-        foreign = {f"deep_curiosity.experiments.studies.{name}" for name in
-                   ("stable_baselines3", "torchrl")}
+        foreign = {
+            f"deep_curiosity.experiments.studies.{name}"
+            for name in ("stable_baselines3", "torchrl")
+        }
         assert not any(own[name] for name in own.keys() - foreign), own
 
 

@@ -26,7 +26,7 @@ def test_a_package_that_misses_something_itself_is_not_called_missing(
 
 
 def test_all_that_are_missing_are_named_at_once() -> None:
-    with pytest.raises(ImportError, match="^no_such, nor_such are missing: pip install"):
+    with pytest.raises(ImportError, match=r"^no_such, nor_such are missing: pip install"):
         require("no_such", "torch", "nor_such", extra="sb3")
 
 

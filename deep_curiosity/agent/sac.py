@@ -280,9 +280,9 @@ class CuriousSAC(nn.Module):
             batch: From replay, the reward as the environment gave it. Every field but `truncated`
                 is read. Values look one step ahead in transitions, several in sequences: as many
                 as are set in `replay.sample_sequences(batch_size, agent.sequence_length)`.
-            bonus: Computed afresh for the `curious_steps` of the batch, so that nothing in replay is ever
-                stale; or the function itself, of observation, action and next observation, which
-                must be given where `curiosity_discount` is 0.
+            bonus: Computed afresh for the `curious_steps` of the batch, so that nothing in replay
+                is ever stale; or the function itself, of observation, action and next
+                observation, which must be given where `curiosity_discount` is 0.
 
         Returns:
             What to log: detached 0-d tensors, information in nats.

@@ -98,4 +98,3 @@ def table(rows: Sequence[dict[str, str]]) -> str:
         "  ".join(f"{cell:>{width}}" for cell, width in zip(line, widths, strict=True)).rstrip()
         for line in cells
     )
-

@@ -194,9 +194,7 @@ def write_page(path: Path, runs: Sequence[RunCurves], tags: Sequence[str]) -> No
 def page_data(runs: Sequence[RunCurves], tags: Sequence[str]) -> dict[str, Any]:
     """What the page shows: for each task and tag the curves of every agent, and of its runs."""
     tasks, agents = _names(runs, "task"), _names(runs, "agent")
-    curves = {
-        task: {tag: _panel(runs, task, agents, tag) for tag in tags} for task in tasks
-    }
+    curves = {task: {tag: _panel(runs, task, agents, tag) for tag in tags} for task in tasks}
     return {"tags": list(tags), "agents": agents, "curves": curves}
 
 

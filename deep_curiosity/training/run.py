@@ -35,7 +35,7 @@ from deep_curiosity.training.environments import (
     task_spaces,
 )
 from deep_curiosity.training.hunger import HungerFunction
-from deep_curiosity.training.learner import Learner, compiles
+from deep_curiosity.training.learner import Learner, compiles_from
 from deep_curiosity.training.log import (
     CONFIG,
     SUMMARY,
@@ -230,7 +230,8 @@ def merge_config(wanted: Config, own: Config) -> Config:
 def _print_machine(config: Config) -> None:
     """Say how the run computes."""
     precision, device = config.speed.matmul_precision, config.speed.device
-    how = "compiled" if compiles(config) else "eager"
+    start = compiles_from(config)
+    how = "eager" if start is None else f"compiled from step {start}, which takes half a minute"
     error = matmul_error(device)
     print(f"Matrix products {precision}, relative error {error:.1e}; updates {how}", flush=True)
 

@@ -1,10 +1,10 @@
 import subprocess
 import sys
-import tomllib
 from importlib import import_module
 from pathlib import Path
 
 import pytest
+import tomllib
 
 from deep_curiosity import __version__, cli
 from deep_curiosity.cli import COMMANDS, main
