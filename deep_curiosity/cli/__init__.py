@@ -46,6 +46,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit status: 0 where all went well, 1 after an error, 2 for a command that does not exist,
         130 after Ctrl-C.
     """
+    if "" not in sys.path:
+        sys.path.insert(0, "")  # so that a module of the user's is found here, as `python -m` does
     name, *given = [*(sys.argv[1:] if arguments is None else arguments)] or ["--help"]
     if name in ("-h", "--help", "--version"):
         print(__version__ if name == "--version" else usage())

@@ -11,6 +11,7 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
+from deep_curiosity.requirements import require
 from deep_curiosity.trained.policy import TrainedPolicy, load
 from deep_curiosity.training.config import EnvironmentConfig
 from deep_curiosity.training.environments import registered_id
@@ -38,6 +39,8 @@ class Args:
 def main(arguments: Sequence[str]) -> int:
     """Print the return of every episode, and write the video."""
     args = tyro.cli(Args, args=arguments, description=__doc__, prog="deep-curiosity demo")
+    if args.video is not None:
+        require("imageio", extra="video")  # before anything is played
     if args.episodes < 1:
         raise ValueError(f"`episodes` must be at least 1, got {args.episodes}.")
     with as_file(DEMOS / args.agent) as folder:

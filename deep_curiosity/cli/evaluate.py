@@ -8,6 +8,7 @@ from typing import Annotated
 
 import tyro
 
+from deep_curiosity.requirements import require
 from deep_curiosity.training.collector import evaluate
 from deep_curiosity.training.environments import make_environment
 from deep_curiosity.training.log import read_config
@@ -35,6 +36,8 @@ class Args:
 def main(arguments: Sequence[str]) -> int:
     """Print returns, and write the video."""
     args = tyro.cli(Args, args=arguments, description=__doc__, prog="deep-curiosity evaluate")
+    if args.video is not None:
+        require("imageio", extra="video")  # before anything is played
     config = read_config(args.folder)
     environment = make_environment(config.environment)
     for hunger in args.hunger or (None,):

@@ -47,19 +47,27 @@ def test_the_version_is_printed_and_is_the_one_that_is_cited(capsys):
     assert f"\n## {__version__}" in (ROOT / "CHANGELOG.md").read_text()
 
 
-def test_a_mistake_is_one_line_and_an_interruption_none(monkeypatch, capsys):
-    class Command:
-        @staticmethod
-        def main(arguments):
-            raise arguments[0]
+ERRORS = {
+    "mistake": ValueError("`x` must be 1, got 2."),
+    "interruption": KeyboardInterrupt(),
+    "fault": ZeroDivisionError(),
+}
 
-    monkeypatch.setattr(cli, "import_module", lambda name: Command)
-    assert main(["train", ValueError("`x` must be 1, got 2.")]) == 1
+
+class Raising:
+    @staticmethod
+    def main(arguments):
+        raise ERRORS[arguments[0]]
+
+
+def test_a_mistake_is_one_line_and_an_interruption_none(monkeypatch, capsys):
+    monkeypatch.setattr(cli, "import_module", lambda name: Raising)
+    assert main(["train", "mistake"]) == 1
     assert capsys.readouterr().err == "error: `x` must be 1, got 2.\n"
-    assert main(["train", KeyboardInterrupt()]) == 130
+    assert main(["train", "interruption"]) == 130
     assert capsys.readouterr().err == ""
     with pytest.raises(ZeroDivisionError):
-        main(["train", ZeroDivisionError()])
+        main(["train", "fault"])
 
 
 def test_a_command_whose_extra_is_missing_says_what_to_install():
