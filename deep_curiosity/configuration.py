@@ -170,6 +170,8 @@ def _is_of(option: Any, value: Any) -> bool:
     origin, args = get_origin(option), get_args(option)
     if option is None or option is type(None):
         return value is None
+    if _is_union(option):
+        return any(_is_of(each, value) for each in args)
     if origin is Literal:
         return isinstance(value, str) and value in args
     if origin is tuple:

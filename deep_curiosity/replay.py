@@ -100,8 +100,19 @@ class ReplayBuffer:
         next_observation: np.ndarray,
         terminated: np.ndarray,
         truncated: np.ndarray,
+        sound: np.ndarray | None = None,
     ) -> None:
         """Append several transitions at once, their axis leading, as if they came one by one.
+
+        Args:
+            observation: `(num_rows, observation_dim)`.
+            action: `(num_rows, action_dim)`.
+            reward: `(num_rows,)`, as are the flags.
+            next_observation: `(num_rows, observation_dim)`.
+            terminated: Whether the task ended.
+            truncated: Whether the episode was cut off.
+            sound: False where there was no step to learn from: what that environment stored last
+                stands there once more, in both places as the end of its episode.
 
         Raises:
             ValueError: If a shape is wrong or a value is NaN or infinite; nothing is then stored.
@@ -120,13 +131,33 @@ class ReplayBuffer:
         if not fits:
             for name, value, shape in zip(Transition._fields, fields, shapes, strict=True):
                 _check_rows(name, value, shape)
+        if sound is not None and not sound.all():
+            rows = self._end_before(rows, sound)
         newest = rows[-self.capacity :]
-        self._num_added += num_rows
+        self._num_added += len(rows)
         slot = np.arange(self._num_added - len(newest), self._num_added) % self.capacity
         if self._rows.is_cpu:
             self._rows.numpy()[slot] = newest  # half the price of going through torch
         else:
             self._rows[torch.from_numpy(slot)] = torch.from_numpy(newest).to(self._rows.device)
+
+    def _end_before(self, rows: np.ndarray, sound: np.ndarray) -> np.ndarray:
+        """Rows in which what is not sound is the row before once more, as an end.
+
+        Every environment keeps its place in memory, by which a sequence finds its next step.
+        """
+        for index in np.flatnonzero(~sound).tolist():
+            before = index - self.num_envs
+            if self._num_added + before < 0:  # nothing came before: begin with the next step
+                return self._end_before(rows[self.num_envs :], sound[self.num_envs :])
+            if before >= 0:
+                last = rows[before]
+            else:
+                last = self._rows[(self._num_added + before) % self.capacity]
+            if not last[-2]:
+                last[-1] = 1.0
+            rows[index] = last if before >= 0 else last.cpu().numpy()
+        return rows
 
     def sample(self, batch_size: int) -> Transition:
         """Sample transitions uniformly, with replacement.

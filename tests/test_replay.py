@@ -389,3 +389,43 @@ def test_sequences_of_one_step_are_what_is_sampled():
     assert equal(one.sample(16), other.sample_sequences(16, 1).first)
     with pytest.raises(ValueError, match="`num_steps` must be at least 1, got 0"):
         one.sample_sequences(4, 0)
+
+
+def unended(first, count):
+    return *batch(first, count)[:4], np.zeros(count, dtype=bool), np.zeros(count, dtype=bool)
+
+
+def test_a_step_that_was_none_repeats_the_one_before_it_as_an_end():
+    replay = ReplayBuffer(20, 3, 2)
+    sound = np.array([True, True, False, True])
+    replay.extend(*unended(0, 4), sound)
+    assert numbers(replay.all()) == [0, 1, 1, 3]
+    assert replay.all().truncated.tolist() == [False, True, True, False]
+    replay.extend(*unended(4, 1), np.array([False]))
+    assert numbers(replay.all()) == [0, 1, 1, 3, 3]
+    assert replay.all().truncated.tolist() == [False, True, True, True, True]
+
+
+def test_a_step_that_was_none_keeps_the_places_of_several_environments():
+    replay = ReplayBuffer(6, 3, 2, num_envs=2)
+    replay.extend(*unended(0, 2), np.array([False, True]))  # nothing came before: left out
+    assert len(replay) == 0
+    for first in (2, 4, 6, 8):
+        replay.extend(*unended(first, 2), np.array([True, first != 6]))
+    assert numbers(replay.all()) == [4, 5, 6, 5, 8, 9]
+    assert replay.all().truncated.tolist() == [False, True, False, True, False, False]
+    rows, alive = replay.sample_rows(200, 3)
+    followed = {
+        tuple(row[lives, 0].tolist())
+        for row, lives in zip(rows.unflatten(0, (3, 200)).unbind(1), alive.unbind(1), strict=True)
+    }
+    assert followed == {(4, 6, 8), (6, 8), (8,), (5,), (9,)}
+
+
+def test_a_step_after_the_end_of_a_task_repeats_that_end():
+    replay = ReplayBuffer(20, 3, 2)
+    values = dict(zip(Transition._fields, unended(0, 1), strict=True))
+    replay.extend(**values | {"terminated": np.array([True])})
+    replay.extend(*unended(1, 1), np.array([False]))
+    assert replay.all().terminated.tolist() == [True, True]
+    assert replay.all().truncated.tolist() == [False, False]

@@ -1,6 +1,9 @@
 """Policies that leave the house: as ONNX, as a torch program, or as safetensors with settings."""
 
+import logging
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal, get_args
 
@@ -116,9 +119,9 @@ def export(
     if chosen == "safetensors":
         _write_folder(trained, policy, out)
     elif chosen == "onnx":
-        _write_onnx(Actor(policy, curious=curious), _example(policy), out)
+        _write_onnx(Actor(policy, curious=curious).eval(), _example(policy), out)
     else:
-        _write_program(Actor(policy, curious=curious), _example(policy), out)
+        _write_program(Actor(policy, curious=curious).eval(), _example(policy), out)
     return out
 
 
@@ -143,8 +146,7 @@ def _write_program(actor: Actor, example: dict[str, Tensor], out: Path) -> None:
 
 def _write_onnx(actor: Actor, example: dict[str, Tensor], out: Path) -> None:
     require("onnx", "onnxscript", extra="export")
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of torch's exporter about itself
+    with _quiet_exporter():
         torch.onnx.export(
             actor,
             (),
@@ -158,6 +160,23 @@ def _write_onnx(actor: Actor, example: dict[str, Tensor], out: Path) -> None:
             dynamo=True,
             verbose=False,
         )
+
+
+@contextmanager
+def _quiet_exporter() -> Iterator[None]:
+    """Keep from a user what torch's exporter says of itself, and of packages it can do without.
+
+    Errors come through.
+    """
+    logger = logging.getLogger("torch.onnx")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logger.setLevel(level)
 
 
 def _batch_sizes(example: dict[str, Tensor]) -> dict[str, Any]:

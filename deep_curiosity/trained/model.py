@@ -74,8 +74,8 @@ class TrainedModel:
         """
         vector = self._vector(observation)
         batch = as_batch("observation", vector, self.dynamics.observation_dim)
-        given = np.asarray(action, dtype=np.float64)
-        actions = as_batch("action", self.spaces.from_task(given), self.dynamics.action_dim)
+        given = np.asarray(action, dtype=np.float32)
+        actions = self.spaces.from_task(as_batch("action", given, self.dynamics.action_dim))
         if len(batch) != len(actions):
             raise ValueError(
                 f"`action` must be one for each observation, {len(batch)}, got {len(actions)}."
@@ -108,7 +108,8 @@ class TrainedModel:
         means, variances = self.dynamics.change(observation, action)
         epistemic, aleatoric = means.var(0, correction=0), variances.mean(0)
         generator = torch.Generator().manual_seed(seed)
-        noise = torch.randn(num_samples, *observation.shape, generator=generator)
+        shape = num_samples, *observation.shape
+        noise = torch.randn(shape, generator=generator, dtype=torch.float64)
         choice = torch.rand(num_samples, len(observation), generator=generator)
         samples = self.dynamics.sample_change(observation, action, noise, choice)
         values = [

@@ -1,5 +1,6 @@
 """Training in one call, and the run that it leaves, with all that was learned."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -41,6 +42,7 @@ class TrainedRun:
 def train(
     env: str | None = None,
     *,
+    make_env: Callable[[], Any] | None = None,
     hunger: Any = None,
     show_progress: bool = True,
     **settings: Any,
@@ -49,6 +51,7 @@ def train(
 
     Args:
         env: Task: its id, such as `"PendulumSwingup"`; by default as in `Config`.
+        make_env: Makes an environment of your own, anew at every call, in the place of `env`.
         hunger: A setting as any other; or a function of observation and info, see
             `deep_curiosity.training.train`.
         show_progress: Show a bar with return, bonus in nats and steps per second.
@@ -73,7 +76,7 @@ def train(
     if env is not None:
         settings["env_id"] = env
     config = Config.of(**settings)
-    summary = train_agent(config, hunger=function, show_progress=show_progress)
+    summary = train_agent(config, hunger=function, make_env=make_env, show_progress=show_progress)
     return TrainedRun(config.run.out, summary)
 
 
@@ -81,6 +84,7 @@ def continue_run(
     folder: str | Path,
     *,
     total_steps: int | None = None,
+    make_env: Callable[[], Any] | None = None,
     hunger: HungerFunction | None = None,
     show_progress: bool = True,
 ) -> TrainedRun:
@@ -89,6 +93,7 @@ def continue_run(
     Args:
         folder: Of the run.
         total_steps: Environment steps, those already taken included; as before when `None`.
+        make_env: The function that made its environment, if one did.
         hunger: The function of observation and info that it was begun with, if it was.
         show_progress: As in `train`.
 
@@ -101,6 +106,10 @@ def continue_run(
     from deep_curiosity.training.loop import continue_run as continue_agent
 
     summary = continue_agent(
-        folder, total_steps=total_steps, hunger=hunger, show_progress=show_progress
+        folder,
+        total_steps=total_steps,
+        hunger=hunger,
+        make_env=make_env,
+        show_progress=show_progress,
     )
     return TrainedRun(Path(folder), summary)

@@ -6,16 +6,26 @@ from deep_curiosity.requirements import require_training
 require_training()
 
 import math
+import warnings
 from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
 import torch
+from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from torch import Tensor
 
-from deep_curiosity.training.interfaces import Policy
+from deep_curiosity.training.interfaces import Info, Policy
+from deep_curiosity.training.outliers import (
+    FACTOR,
+    USUAL_REWARD,
+    UsualSize,
+    usual_observation,
+)
 from deep_curiosity.training.single_environment import SingleEnvironment
+
+MAX_BROKEN_IN_ROW = 20  # episodes: more than that is no accident
 
 
 class Episode(NamedTuple):
@@ -25,10 +35,15 @@ class Episode(NamedTuple):
     length: int = 0
     success: float = math.nan
     """1 once `info["is_success"]` was true, else 0; NaN where there is no such entry."""
+    broken: bool = False
+    """Whether the episode was cut off since the environment gave NaN or infinity."""
 
 
 class Step(NamedTuple):
-    """One step of each of several environments, their axis leading, as they gave it."""
+    """One step of each of several environments, their axis leading, as they gave it.
+
+    Numbers that are absurdly large are cut at a hundred times their usual size.
+    """
 
     observation: np.ndarray
     action: np.ndarray
@@ -36,6 +51,9 @@ class Step(NamedTuple):
     next_observation: np.ndarray
     terminated: np.ndarray
     truncated: np.ndarray
+    sound: np.ndarray | None = None
+    """False where observation or reward were not finite: that is no step to learn from. Its
+    episode is cut off before it."""
 
 
 class Collector:
@@ -45,6 +63,9 @@ class Collector:
     is reset with a seed of its own, so that the state of an environment at any step is a function
     of that seed and the actions since: enough to come back to it in any vector environment whose
     environments repeat themselves, native, one after another or in processes.
+
+    An episode is cut off where the environment gives NaN or infinity, as simulators do once in a
+    while, and the next one begins; a warning says so, and an error where it goes on like that.
 
     Args:
         environment: Takes actions in [-1, 1]; autoreset of a vector environment is disabled, so
@@ -76,8 +97,15 @@ class Collector:
         self._length = np.zeros(num_envs, dtype=int)
         self._return = np.zeros(num_envs)
         self._success = np.zeros(num_envs)
-        space = environment.observation_space
-        self.observation = np.zeros(space.shape or (), dtype=space.dtype)
+        self._num_broken_in_row = 0
+        self._is_restoring = False
+        space = environment.single_observation_space
+        assert isinstance(space, spaces.Box)
+        self._usual_observation = UsualSize(usual_observation(space.low, space.high))
+        self._usual_reward = UsualSize(np.array([USUAL_REWARD]))
+        self._cut_names: set[str] = set()  # of what was cut so far, each told once
+        self._raw_observation = np.zeros((num_envs, *space.shape), dtype=space.dtype)
+        self.observation = self._raw_observation
         self._start(np.ones(num_envs, dtype=bool))
 
     def step(self, action: np.ndarray) -> tuple[Step, list[Episode]]:
@@ -87,22 +115,74 @@ class Collector:
             action: `(num_envs, action_dim)`.
         """
         next_observation, reward, terminated, truncated, self.info = self.environment.step(action)
-        step = Step(self.observation, action, reward, next_observation, terminated, truncated)
+        sound = np.isfinite(next_observation).all(1) & np.isfinite(reward)
+        if not sound.all():
+            reward = np.where(sound, reward, 0.0)
+            next_observation = np.where(sound[:, None], next_observation, self._raw_observation)
+            terminated, truncated = terminated & sound, truncated | ~sound
         self.actions.append(np.array(action))
         self._length += 1
         self._return += reward
         if "is_success" in self.info:
-            self._success = np.fmax(self._success, self.info["is_success"])
-        self.observation, self.present_info = next_observation, self.info
-        done = terminated | truncated
+            self._success = np.fmax(self._success, _told(self.info, "is_success"))
+        observation = self.observation
+        self._raw_observation, self.present_info = next_observation, self.info
+        self.observation = self._cut("observation", self._usual_observation, next_observation)
+        reward = self._cut("reward", self._usual_reward, reward[:, None])[:, 0]
+        step = Step(observation, action, reward, self.observation, terminated, truncated, sound)
+        return step, self._finish(terminated | truncated, sound)
+
+    def _finish(self, done: np.ndarray, sound: np.ndarray) -> list[Episode]:
+        """Begin anew where episodes are done, and return them."""
         if not done.any():
-            return step, []
+            return []
         finished = [
-            Episode(float(self._return[i]), int(self._length[i]), float(self._success[i]))
+            Episode(
+                float(self._return[i]),
+                int(self._length[i]),
+                float(self._success[i]),
+                not sound[i],
+            )
             for i in np.flatnonzero(done)
         ]
+        self._count_broken([episode.broken for episode in finished])
         self._start(done)
-        return step, finished
+        return finished
+
+    def _cut(self, name: str, usual: UsualSize, value: np.ndarray) -> np.ndarray:
+        """A value within its usual bounds; the first one beyond is told of."""
+        cut = usual.cut(value)
+        if cut is not value and name not in self._cut_names and not self._is_restoring:
+            self._cut_names.add(name)
+            _, entry = np.argwhere(cut != value)[0]
+            warnings.warn(
+                f"`{name}` should stay within {FACTOR:g} times its usual size; entry {entry} was "
+                "beyond, and such values are cut, unless they come to be usual.",
+                stacklevel=3,
+            )
+        return cut
+
+    def _count_broken(self, broken: list[bool]) -> None:
+        """Tell of episodes that broke off, and stop where nothing else comes any more.
+
+        Raises:
+            ValueError: If so many broke off one after another.
+        """
+        if self._is_restoring:
+            return
+        for is_broken in broken:
+            self._num_broken_in_row = self._num_broken_in_row + 1 if is_broken else 0
+        if any(broken):
+            warnings.warn(
+                "`observation` and `reward` must be finite, got NaN or infinity from the "
+                "environment: its episode is cut off before that step, and the next one begins.",
+                stacklevel=4,
+            )
+        if self._num_broken_in_row >= MAX_BROKEN_IN_ROW:
+            raise ValueError(
+                "`observation` and `reward` must be finite, got NaN or infinity in "
+                f"{self._num_broken_in_row} episodes one after another."
+            )
 
     def state_dict(self) -> dict[str, Any]:
         """Number and length of the episode in every environment, and the actions taken in them."""
@@ -112,6 +192,10 @@ class Collector:
             "length": torch.tensor(self._length),
             "actions": torch.from_numpy(np.array(self.actions)),
             "observation": torch.tensor(self.observation),
+            "raw_observation": torch.tensor(self._raw_observation),
+            "usual_observation": torch.tensor(self._usual_observation.size),
+            "usual_reward": torch.tensor(self._usual_reward.size),
+            "num_broken_in_row": self._num_broken_in_row,
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
@@ -122,17 +206,34 @@ class Collector:
         """
         number, length = state["number"].numpy(), state["length"].numpy()
         oldest = len(state["actions"])
+        self._is_restoring = True
         for step, action in enumerate(state["actions"]):
             self._start(length == oldest - step, number)
             self.step(action.numpy())
         self._start(length == 0, number)
+        self._is_restoring = False
         self.num_episodes = state["num_episodes"]
-        _check_repeated(self.observation, state["observation"].numpy(), oldest)
+        self._num_broken_in_row = state["num_broken_in_row"]
+        _check_repeated(self._raw_observation, state["raw_observation"].numpy(), oldest)
+        self.observation = state["observation"].numpy()
+        self._usual_observation.size = state["usual_observation"].numpy()
+        self._usual_reward.size = state["usual_reward"].numpy()
 
     def _start(self, mask: np.ndarray, number: np.ndarray | None = None) -> None:
         """Begin episodes where the mask is, the next ones unless their numbers are given."""
-        if not mask.any():
-            return
+        broken: np.ndarray = mask
+        while broken.any():
+            start = self._begin(broken, number)
+            self._raw_observation = np.where(broken[:, None], start, self._raw_observation)
+            broken, number = np.logical_not(np.isfinite(self._raw_observation).all(1)), None
+            self._count_broken([True] * int(broken.sum()))
+        if mask.any():
+            start = self._raw_observation[mask]
+            self.observation = self.observation.copy()
+            self.observation[mask] = self._cut("observation", self._usual_observation, start)
+
+    def _begin(self, mask: np.ndarray, number: np.ndarray | None) -> np.ndarray:
+        """Reset where the mask is; return what the environments show."""
         if number is None:
             number = self.num_episodes + np.cumsum(mask) - 1
             self.num_episodes += int(mask.sum())
@@ -144,7 +245,6 @@ class Collector:
             ],
             options={"reset_mask": mask},
         )
-        self.observation = np.where(mask[:, None], start, self.observation)
         self.present_info = self.present_info | {
             name: np.where(mask, value, self.present_info.get(name, value))
             for name, value in info.items()
@@ -152,10 +252,17 @@ class Collector:
         }
         self._length[mask], self._return[mask], self._success[mask] = 0, 0.0, math.nan
         self.actions = self.actions[len(self.actions) - self._length.max() :]
+        return start
 
 
 def _episode_seed(seed: int, number: int) -> int:
     return int(np.random.SeedSequence((seed, number)).generate_state(1)[0])
+
+
+def _told(info: Info, name: str) -> np.ndarray:
+    """An entry of the infos of all environments; NaN in those that did not give it."""
+    value = np.asarray(info[name], dtype=float)
+    return np.where(info.get(f"_{name}", True), value, math.nan)
 
 
 def _check_repeated(observation: np.ndarray, expected: np.ndarray, num_steps: int) -> None:

@@ -26,6 +26,9 @@ from deep_curiosity.training.log import read_config
 COMMON = (
     "env_id",
     "env_kwargs",
+    "max_episode_steps",
+    "observation_keys",
+    "terminate_on_success",
     "frame_stack",
     "num_envs",
     "total_steps",
@@ -60,6 +63,8 @@ PRESET_HELP = (
     "How networks sample a batch: the fast default; exact, every network learns from all of every "
     "batch; or paper, which besides renews the marginal at every update."
 )
+TRUTH = {"true": True, "false": False}
+"""Words among arguments of the environment that would be true as text, both of them."""
 RESUME_HELP = "Folder of a run to continue, in place; only total_steps may be changed."
 
 
@@ -151,6 +156,8 @@ def _default(each: Setting) -> Any:
 
 def _from_text(each: Setting, value: Any) -> Any:
     """A value of the command line as the setting takes it: a number where it is one."""
+    if isinstance(value, dict):
+        return {name: TRUTH.get(entry, entry) for name, entry in value.items()}
     if _annotation(each) is not str or each.annotation is str:
         return value
     try:

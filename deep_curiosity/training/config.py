@@ -37,9 +37,17 @@ class EnvironmentConfig(Group):
     """The task, and how it is stepped."""
 
     env_id: str = "deep_curiosity/PendulumSwingup-v0"
-    """Task: one of ours, a gymnasium id such as HalfCheetah-v5, or dm_control/DOMAIN-TASK-v0."""
-    env_kwargs: dict[str, float] = setting({})
-    """Keyword arguments of the environment, such as: action_cost 0.1"""
+    """Task: one of ours, a gymnasium id such as HalfCheetah-v5, dm_control/DOMAIN-TASK-v0, or
+    MODULE:TASK-v0, which imports the module first."""
+    env_kwargs: dict[str, bool | int | float | str | None] = setting({})
+    """Keyword arguments of the environment, such as: action_cost 0.1 goal_terminates True"""
+    max_episode_steps: int | None = None
+    """Steps after which an episode is cut off; as the task is registered when none, or 1000 where
+    nothing limits its episodes."""
+    observation_keys: tuple[str, ...] = ()
+    """Entries of a dictionary of observations that are shown to the agent; all when none."""
+    terminate_on_success: bool = False
+    """End an episode once the task reports success."""
     frame_stack: int = 1
     """Observations shown to the agent together, with the actions between them."""
     num_envs: int = 1
@@ -48,6 +56,27 @@ class EnvironmentConfig(Group):
     vectorization: Literal["auto", "native", "sync", "async"] = "auto"
     """How several environments are stepped: by MuJoCo in one call (our own tasks), one after
     another, or each in a process of its own; auto is native where it can be, else sync."""
+
+    def __post_init__(self) -> None:
+        """Take a limit that is given among the arguments, as gymnasium does, for the setting.
+
+        Raises:
+            TypeError: If a value has the wrong type.
+            ValueError: If a value is out of range, or two limits are given.
+        """
+        super().__post_init__()
+        if "max_episode_steps" not in self.env_kwargs:
+            return
+        env_kwargs = dict(self.env_kwargs)
+        limit = env_kwargs.pop("max_episode_steps")
+        if self.max_episode_steps not in (None, limit):
+            raise ValueError(
+                f"`max_episode_steps` must be given once, got {self.max_episode_steps} and "
+                f"{limit} in `env_kwargs`."
+            )
+        object.__setattr__(self, "env_kwargs", env_kwargs)
+        object.__setattr__(self, "max_episode_steps", limit)
+        super().__post_init__()
 
 
 @dataclass(frozen=True)

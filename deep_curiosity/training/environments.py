@@ -1,70 +1,90 @@
 """Environments that the agent can act in: found by id, checked, brought to one form."""
 # ruff: noqa: E402  # what is missing is reported before anything needs it
 
-from deep_curiosity.requirements import require_training
+from deep_curiosity.requirements import require, require_training
 
 require_training()
 
 import difflib
+import importlib
 import multiprocessing
 import signal
+import warnings
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
-from importlib import import_module
+from importlib.metadata import version
 from typing import Any
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv
-from gymnasium.wrappers import FlattenObservation, RescaleAction
+from gymnasium.wrappers import (
+    FilterObservation,
+    FlattenObservation,
+    RescaleAction,
+    TimeLimit,
+)
 
 import deep_curiosity_envs
-from deep_curiosity.requirements import require
 from deep_curiosity.training.config import EnvironmentConfig
 from deep_curiosity.training.frame_stack import FrameStack, VectorFrameStack
 from deep_curiosity.training.spaces import Entry, TaskSpaces
+from deep_curiosity.training.wrappers import PlainSteps, VectorObservation
 
 GOAL_ENDS_EPISODE = frozenset({"MountainCarContinuous-v0"})
 """Tasks that say nothing of success, but terminate at the goal and nowhere else."""
+MAX_EPISODE_STEPS = 1_000
+"""Steps after which an episode is cut off where neither the task nor the user limits it."""
+MAX_ACTION = 1e9
+"""Bounds of actions beyond this are no bounds."""
+ROBOTICS_PREFIXES = (
+    "PointMaze_",
+    "AntMaze_",
+    "Adroit",
+    "Fetch",
+    "HandReach",
+    "HandManipulate",
+    "FrankaKitchen",
+)
+"""Names of the tasks of gymnasium-robotics begin so."""
+MADE_BY_FUNCTION = "make_env"
+"""The `env_id` of a run whose environments the caller's own function makes."""
+
+MakeEnv = Callable[[], gymnasium.Env]
+"""Makes one environment of the caller's own, anew at every call."""
 
 
 def make_environment(
-    config: EnvironmentConfig, *, render_mode: str | None = None
+    config: EnvironmentConfig,
+    *,
+    make_env: MakeEnv | None = None,
+    render_mode: str | None = None,
 ) -> gymnasium.Env[np.ndarray, np.ndarray]:
     """Make an environment with vector observations and actions in [-1, 1].
 
+    Observations that are dictionaries, goals among them, become vectors. Episodes end after
+    `max_episode_steps`; where nothing limits them, after 1 000 steps, and a warning says so.
+
     Args:
         config: Its `env_id` is a registered one; `PendulumSwingup` is short for
-            `deep_curiosity/PendulumSwingup-v0`; `dm_control/DOMAIN-TASK-v0` needs the `dmc` extra.
-        render_mode: Passed on.
+            `deep_curiosity/PendulumSwingup-v0`; `module:Task-v0` imports the module first;
+            `dm_control/DOMAIN-TASK-v0` needs the `dmc` extra and the tasks of gymnasium-robotics
+            the `robotics` extra.
+        make_env: The caller's own function, in the place of an id.
+        render_mode: Passed on to a task with an id.
 
     Raises:
         ValueError: If the id is unknown, or the spaces are not continuous, bounded vectors.
-        ImportError: If a dm_control id is wanted without its extra.
+        ImportError: If a task is wanted without its extra, or does not run with this MuJoCo.
     """
-    env_id = registered_id(config.env_id)
-    env_kwargs: dict[str, Any] = dict(config.env_kwargs)
-    if render_mode is not None:
-        env_kwargs["render_mode"] = render_mode
-    try:
-        environment = gymnasium.make(env_id, disable_env_checker=True, **env_kwargs)
-    except TypeError as error:
-        raise ValueError(
-            f"`env_kwargs` must be arguments of {env_id}, got {env_kwargs}: {error}"
-        ) from error
-    if env_id.startswith("dm_control/"):
-        environment = gymnasium.wrappers.FlattenObservation(environment)
-    check_spaces(environment.observation_space, environment.action_space)
-    if env_id in GOAL_ENDS_EPISODE:
-        environment = _TerminationIsSuccess(environment)
-    low, high = np.array([-1.0, 1.0], environment.action_space.dtype)
-    environment = gymnasium.wrappers.RescaleAction(environment, low, high)
-    return environment if config.frame_stack == 1 else FrameStack(environment, config.frame_stack)
+    return _make(config, _source(config, make_env), render_mode)
 
 
 def make_vector_environment(
-    config: EnvironmentConfig,
+    config: EnvironmentConfig, *, make_env: MakeEnv | None = None
 ) -> VectorEnv[np.ndarray, np.ndarray, np.ndarray]:
     """Make several environments as `make_environment` does, without autoreset.
 
@@ -72,31 +92,157 @@ def make_vector_environment(
         ValueError: If a native environment is wanted where there is none, or `make_environment`
             raises it.
     """
-    environment = _make_vector(replace(config, frame_stack=1))
+    source = _source(config, make_env)
+    environment = _make_vector(replace(config, frame_stack=1), source)
     if config.frame_stack == 1:
         return environment
     return VectorFrameStack(environment, config.frame_stack)
 
 
-def _make_vector(config: EnvironmentConfig) -> VectorEnv[np.ndarray, np.ndarray, np.ndarray]:
-    """Step by one call of MuJoCo, one after another, or each in a process of its own."""
-    env_id = registered_id(config.env_id)
-    has_native = env_id in deep_curiosity_envs.TASK_IDS
-    if config.vectorization == "native" and not has_native:
+def _source(config: EnvironmentConfig, make_env: MakeEnv | None) -> EnvSpec | MakeEnv:
+    """Where environments come from: handed to processes, which may know no id of this one.
+
+    Raises:
+        ValueError: If the function is missing, or an id is given beside it, or the id is unknown.
+    """
+    if make_env is None:
+        if config.env_id == MADE_BY_FUNCTION:
+            raise ValueError(
+                "`make_env` must be given again, since a function of the caller made the "
+                "environment of this run, got None."
+            )
+        return gymnasium.spec(registered_id(config.env_id))
+    if config.env_id != MADE_BY_FUNCTION or config.env_kwargs:
+        given = "env_kwargs" if config.env_kwargs else "env_id"
         raise ValueError(
-            f"`vectorization` must be 'auto', 'sync' or 'async' for {env_id}, got 'native', which "
-            f"is for {', '.join(deep_curiosity_envs.TASK_IDS)}."
+            f"`{given}` must be left out beside `make_env`, got {getattr(config, given)!r}."
         )
-    if config.vectorization == "async":
-        workers = [partial(_make_in_worker, config)] * config.num_envs
-        return AsyncVectorEnv(workers, autoreset_mode=AutoresetMode.DISABLED)
-    if config.vectorization == "sync" or not has_native:
-        makers = [partial(make_environment, config)] * config.num_envs
-        return SyncVectorEnv(makers, autoreset_mode=AutoresetMode.DISABLED)
+    return make_env
+
+
+def _make(
+    config: EnvironmentConfig, source: EnvSpec | MakeEnv, render_mode: str | None = None
+) -> gymnasium.Env:
+    task, limit = _make_task(config, source, render_mode)
+    environment: gymnasium.Env = PlainSteps(
+        task,
+        termination_is_success=isinstance(source, EnvSpec) and source.id in GOAL_ENDS_EPISODE,
+        terminate_on_success=config.terminate_on_success,
+    )
+    if limit is not None:
+        environment = TimeLimit(environment, limit)
+    environment = _flattened(environment, config.observation_keys)
+    check_spaces(environment.observation_space, environment.action_space)
+    environment = VectorObservation(environment)
+    low, high = np.array([-1.0, 1.0], environment.action_space.dtype)
+    environment = RescaleAction(environment, low, high)
+    return environment if config.frame_stack == 1 else FrameStack(environment, config.frame_stack)
+
+
+def _make_task(
+    config: EnvironmentConfig, source: EnvSpec | MakeEnv, render_mode: str | None
+) -> tuple[gymnasium.Env, int | None]:
+    """A task as its author left it, and the steps after which its episodes are to be cut off."""
+    if not isinstance(source, EnvSpec):
+        task = source()
+        if not isinstance(task, gymnasium.Env):
+            raise ValueError(f"`make_env` must return a gymnasium environment, got {task!r}.")
+        return task, _limit(config, None, task)
     env_kwargs: dict[str, Any] = dict(config.env_kwargs)
+    if render_mode is not None:
+        env_kwargs["render_mode"] = render_mode
+    try:
+        # the limit comes later, since a limit can make nothing of a step that is none
+        task = gymnasium.make(source, -1, disable_env_checker=True, **env_kwargs)
+    except TypeError as error:
+        raise ValueError(
+            f"`env_kwargs` must be arguments of {source.id}, got {env_kwargs}: {error}"
+        ) from error
+    except AssertionError as error:
+        raise _of_another_mujoco(source, error) from error
+    return task, _limit(config, source, task)
+
+
+def _limit(config: EnvironmentConfig, spec: EnvSpec | None, task: gymnasium.Env) -> int | None:
+    """Steps after which episodes are to be cut off; `None` where the task sees to that itself."""
+    if config.max_episode_steps is not None:
+        return config.max_episode_steps
+    if spec is not None and spec.max_episode_steps is not None:
+        return spec.max_episode_steps
+    if task.has_wrapper_attr("_max_episode_steps") or config.env_id.startswith("dm_control/"):
+        return None
+    warnings.warn(
+        f"`max_episode_steps` should be set: nothing limits the episodes of {config.env_id}, and "
+        f"they are cut off after {MAX_EPISODE_STEPS} steps.",
+        stacklevel=2,
+    )
+    return MAX_EPISODE_STEPS
+
+
+def _of_another_mujoco(spec: EnvSpec, error: AssertionError) -> Exception:
+    """What an assertion means that fails while a task is made."""
+    if "gymnasium_robotics" not in str(spec.entry_point):
+        return error
+    return ImportError(
+        f"`env_id` must be a task that runs with mujoco {version('mujoco')}, got {spec.id!r}: of "
+        f"gymnasium-robotics {version('gymnasium-robotics')}, PointMaze, AntMaze and Adroit do; "
+        "Fetch, Hand and FrankaKitchen want an older mujoco than the 3.17 of this package."
+    )
+
+
+def _flattened(environment: gymnasium.Env, keys: tuple[str, ...]) -> gymnasium.Env:
+    """The entries of a dictionary side by side in one vector, in the order of its space.
+
+    Raises:
+        ValueError: If an entry is an image, there is none of a name, or it is no dictionary.
+    """
+    space = environment.observation_space
+    if keys and not (isinstance(space, spaces.Dict) and set(keys) <= set(space)):
+        known = list(space) if isinstance(space, spaces.Dict) else "none, it is no dictionary"
+        raise ValueError(
+            f"`observation_keys` must be entries of the observation ({known}), got {keys}."
+        )
+    if keys:
+        environment = FilterObservation(environment, keys)
+        space = environment.observation_space
+    if not isinstance(space, spaces.Dict | spaces.Tuple):
+        return environment
+    _refuse_images(space)
+    return FlattenObservation(environment)
+
+
+def _refuse_images(space: spaces.Space) -> None:
+    entries = space.values() if isinstance(space, spaces.Dict) else space
+    assert isinstance(entries, Iterable)
+    for entry in entries:
+        if isinstance(entry, spaces.Dict | spaces.Tuple):
+            _refuse_images(entry)
+        elif isinstance(entry, spaces.Box) and len(entry.shape) > 1 and entry.dtype == np.uint8:
+            raise ValueError(
+                "`observation_space` must have no images, which need an encoder, got "
+                f"{entry}; choose other entries by `observation_keys`."
+            )
+
+
+def _make_vector(
+    config: EnvironmentConfig, source: EnvSpec | MakeEnv
+) -> VectorEnv[np.ndarray, np.ndarray, np.ndarray]:
+    """Step by one call of MuJoCo, one after another, or each in a process of its own."""
+    if config.vectorization == "native":
+        _check_native(config)
+    if config.vectorization == "async":
+        workers = [partial(_make_in_worker, config, source)] * config.num_envs
+        return AsyncVectorEnv(workers, autoreset_mode=AutoresetMode.DISABLED)
+    if config.vectorization == "sync" or not _has_native(config):
+        makers = [partial(_make, config, source)] * config.num_envs
+        return SyncVectorEnv(makers, autoreset_mode=AutoresetMode.DISABLED)
+    assert isinstance(source, EnvSpec)
+    env_kwargs: dict[str, Any] = dict(config.env_kwargs)
+    if config.max_episode_steps is not None:
+        env_kwargs["max_episode_steps"] = config.max_episode_steps
     try:
         return gymnasium.make_vec(
-            env_id,
+            source,
             config.num_envs,
             "vector_entry_point",
             autoreset_mode=AutoresetMode.DISABLED,
@@ -104,8 +250,24 @@ def _make_vector(config: EnvironmentConfig) -> VectorEnv[np.ndarray, np.ndarray,
         )
     except TypeError as error:
         raise ValueError(
-            f"`env_kwargs` must be arguments of {env_id}, got {config.env_kwargs}: {error}"
+            f"`env_kwargs` must be arguments of {source.id}, got {config.env_kwargs}: {error}"
         ) from error
+
+
+def _has_native(config: EnvironmentConfig) -> bool:
+    """Whether MuJoCo steps all environments of a task in one call."""
+    if config.env_id == MADE_BY_FUNCTION or config.terminate_on_success:
+        return False
+    return registered_id(config.env_id) in deep_curiosity_envs.TASK_IDS
+
+
+def _check_native(config: EnvironmentConfig) -> None:
+    if not _has_native(config):
+        ended = " that end at success" if config.terminate_on_success else ""
+        raise ValueError(
+            f"`vectorization` must be 'auto', 'sync' or 'async' for {config.env_id}{ended}, got "
+            f"'native', which is for {', '.join(deep_curiosity_envs.TASK_IDS)}, as they are."
+        )
 
 
 def check_spaces(observation_space: spaces.Space, action_space: spaces.Space) -> None:
@@ -114,18 +276,33 @@ def check_spaces(observation_space: spaces.Space, action_space: spaces.Space) ->
     Raises:
         ValueError: Naming the space, the rule and the space received.
     """
-    if not isinstance(action_space, spaces.Box) or len(action_space.shape) != 1:
+    if not (_is_vector(action_space) and np.issubdtype(action_space.dtype, np.floating)):
         raise ValueError(
-            f"`action_space` must be a Box of continuous vectors, got {action_space}."
+            "`action_space` must be a Box of continuous vectors of one entry or more, got "
+            f"{action_space}."
         )
-    if not action_space.is_bounded():
-        raise ValueError(f"`action_space` must be bounded on both sides, got {action_space}.")
-    if not isinstance(observation_space, spaces.Box) or len(observation_space.shape) != 1:
+    assert isinstance(action_space, spaces.Box)
+    size = np.maximum(np.abs(action_space.low), np.abs(action_space.high))
+    if not (size <= MAX_ACTION).all():
         raise ValueError(
-            "`observation_space` must be a Box of vectors (flatten dictionaries with "
-            f"gymnasium.wrappers.FlattenObservation; images need an encoder), got "
+            f"`action_space` must be bounded on both sides, by at most {MAX_ACTION:g}, got "
+            f"{action_space}."
+        )
+    if not (action_space.low < action_space.high).all():
+        raise ValueError(
+            f"`action_space` must have `low` below `high` in every entry, got {action_space}."
+        )
+    if not _is_vector(observation_space):
+        raise ValueError(
+            "`observation_space` must be a Box of vectors of one entry or more (dictionaries are "
+            "flattened as by gymnasium.wrappers.FlattenObservation; images need an encoder), got "
             f"{observation_space}."
         )
+
+
+def _is_vector(space: spaces.Space) -> bool:
+    """Whether a space is a box of vectors with an entry at least."""
+    return isinstance(space, spaces.Box) and len(space.shape) == 1 and space.shape[0] > 0
 
 
 def num_cells(environment: gymnasium.Env) -> int | None:
@@ -160,7 +337,8 @@ def action_dim(environment: gymnasium.Env) -> int:
 def task_spaces(environment: gymnasium.Env) -> TaskSpaces:
     """Spaces of the task below the wrappers of an environment made here."""
     layers = [environment]
-    while isinstance(layers[-1], gymnasium.Wrapper):
+    while not isinstance(layers[-1], PlainSteps):  # what is below is the task's own
+        assert isinstance(layers[-1], gymnasium.Wrapper)
         layers.append(layers[-1].env)
     (rescaled,) = (each for each in layers if isinstance(each, RescaleAction))
     flattened = [each for each in layers if isinstance(each, FlattenObservation)]
@@ -183,37 +361,50 @@ def _entries(space: spaces.Space, path: tuple[str, ...] = ()) -> list[Entry]:
     return [entry for each in below for entry in each] if all(below) else []
 
 
-def _make_in_worker(config: EnvironmentConfig) -> gymnasium.Env:
+def _make_in_worker(config: EnvironmentConfig, source: EnvSpec | MakeEnv) -> gymnasium.Env:
     """Make an environment; a process of its own leaves Ctrl-C to the one that steps it."""
-    if multiprocessing.parent_process() is not None:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-    return make_environment(config)
+    if multiprocessing.parent_process() is None:
+        return _make(config, source)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that process has told of them
+        return _make(config, source)
 
 
 def registered_id(env_id: str) -> str:
     """Id by which gymnasium knows a task of this package or another.
 
     Raises:
-        ValueError: If it knows none of this name.
-        ImportError: If a dm_control id is wanted without its extra.
+        ValueError: If it knows none of this name, or the module of `module:Task-v0` is missing.
+        ImportError: If a task is wanted without its extra.
     """
-    if env_id.startswith("dm_control/"):
+    module, _, name = env_id.rpartition(":")
+    if module:
+        _import_tasks(module, env_id)
+    elif name.startswith("dm_control/"):
         require("shimmy", extra="dmc")
-        import_module("shimmy")  # which registers them
+        importlib.import_module("shimmy")  # which registers them
     known = list(gymnasium.registry)
-    for candidate in (env_id, f"deep_curiosity/{env_id}", f"deep_curiosity/{env_id}-v0"):
+    for candidate in (name, f"deep_curiosity/{name}", f"deep_curiosity/{name}-v0"):
         if candidate in known:
             return candidate
-    nearest = difflib.get_close_matches(env_id, known, n=3, cutoff=0.4)
+    if not module and name.startswith(ROBOTICS_PREFIXES):
+        require("gymnasium_robotics", extra="robotics")
+        return registered_id(f"gymnasium_robotics:{name}")
+    nearest = difflib.get_close_matches(name, known, n=3, cutoff=0.4)
     raise ValueError(
         f"`env_id` must be a registered id such as {', '.join(nearest or known[-3:])}; "
         f"got {env_id!r}. Tasks of this package: {', '.join(deep_curiosity_envs.TASK_IDS)}."
     )
 
 
-class _TerminationIsSuccess(gymnasium.Wrapper):
-    """Reports in `info["is_success"]` that the goal was reached."""
+def _import_tasks(module: str, env_id: str) -> None:
+    """Import a module, which registers its tasks."""
+    try:
+        importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        raise ValueError(
+            f"`env_id` must name a module that can be imported (is its folder in PYTHONPATH?), "
+            f"got {env_id!r}: {error}."
+        ) from error
 
-    def step(self, action: np.ndarray) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        return observation, reward, terminated, truncated, info | {"is_success": terminated}

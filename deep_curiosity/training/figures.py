@@ -6,13 +6,14 @@ from deep_curiosity.requirements import require_training
 require_training()
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from deep_curiosity.training.checkpoint import load_checkpoint
-from deep_curiosity.training.environments import picture_features
+from deep_curiosity.training.environments import MADE_BY_FUNCTION, picture_features
 from deep_curiosity.training.log import read_config, read_progress
 
 PICTURE = "run.png"
@@ -37,7 +38,10 @@ def plot_run(folder: Path) -> Path:
     returns, bonus, states = figure.subplots(1, 3)
     _plot_returns(returns, columns, state["run_log"]["episodes"])
     _plot_bonus(bonus, columns)
-    features = picture_features(config.environment)
+    if config.environment.env_id == MADE_BY_FUNCTION:
+        features = 0, state["collector"]["observation"].shape[-1] - 1
+    else:
+        features = picture_features(config.environment)
     _plot_states(states, state["learner"]["replay"]["rows"].numpy(), features)
     title = f"{config.environment.env_id}, bonus {config.bonus.kind}, seed {config.run.seed}"
     figure.suptitle(title)
@@ -52,12 +56,12 @@ def _columns(rows: list[dict[str, str]]) -> dict[str, np.ndarray]:
 
 
 def _plot_returns(
-    axes: Axes, columns: dict[str, np.ndarray], episodes: list[tuple[float, int, float]]
+    axes: Axes, columns: dict[str, np.ndarray], episodes: list[tuple[Any, ...]]
 ) -> None:
     """Return of every training episode, and of the evaluations."""
     axes.set(title="learning curve", xlabel="environment step", ylabel="return")
     if episodes:
-        returns, lengths, _ = zip(*episodes, strict=True)
+        returns, lengths, *_ = zip(*episodes, strict=True)
         axes.plot(np.cumsum(lengths), returns, ".", alpha=0.4, label="training episode")
     if columns:
         evaluation = columns["eval/return"]

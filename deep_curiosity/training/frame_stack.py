@@ -14,6 +14,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 
 from deep_curiosity.training.windows import first_window, next_window
+from deep_curiosity.training.wrappers import real_dtype
 
 
 class FrameStack(gymnasium.Wrapper):
@@ -38,7 +39,7 @@ class FrameStack(gymnasium.Wrapper):
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin an episode, and forget the one before."""
         observation, info = self.env.reset(seed=seed, options=options)
-        self._window = first_window(observation, _size(self.action_space), self.num_frames)
+        self._window = first_window(_real(observation), _size(self.action_space), self.num_frames)
         return self._window, info
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, Any, bool, bool, dict[str, Any]]:
@@ -78,7 +79,7 @@ class VectorFrameStack(VectorWrapper):
         everywhere = np.ones(self.num_envs, dtype=bool)
         mask = (options or {}).get("reset_mask", everywhere)  # before Gymnasium takes it out
         observation, info = self.env.reset(seed=seed, options=options)
-        first = first_window(observation, _size(self.single_action_space), self.num_frames)
+        first = first_window(_real(observation), _size(self.single_action_space), self.num_frames)
         self._window = np.where(mask[:, None], first, self._window)
         return self._window, info
 
@@ -110,12 +111,18 @@ def window_space(
             (observation_space.high, action_space.high),
         )
     )
-    return spaces.Box(low, high, dtype=observation_space.dtype.type)
+    dtype = real_dtype(observation_space.dtype)  # whole numbers have no room for an action
+    return spaces.Box(low.astype(dtype), high.astype(dtype), dtype=dtype)
 
 
 def _size(space: spaces.Space) -> int:
     (size,) = space.shape or ()
     return size
+
+
+def _real(observation: np.ndarray) -> np.ndarray:
+    """Observations as real numbers: whole ones have no room for an action."""
+    return observation.astype(real_dtype(observation.dtype))
 
 
 def _clipped(action: np.ndarray, space: spaces.Space) -> np.ndarray:

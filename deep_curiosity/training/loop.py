@@ -13,6 +13,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from deep_curiosity.training.config import Config
+from deep_curiosity.training.environments import MakeEnv
 from deep_curiosity.training.hunger import HungerFunction
 from deep_curiosity.training.interruption import catch_interruption
 from deep_curiosity.training.log import read_config
@@ -24,6 +25,7 @@ def train(
     *,
     resume: bool = False,
     hunger: HungerFunction | None = None,
+    make_env: MakeEnv | None = None,
     show_progress: bool = True,
 ) -> dict[str, Any]:
     """Train an agent and leave its records in a folder.
@@ -38,6 +40,8 @@ def train(
             the observations, `(num_envs, observation_dim)`, and the `info` that came with them, to
             one number, or one for each environment; in [0, 1] where the agent is conditioned on
             its hunger. A resumed run must be given it again.
+        make_env: Makes an environment of the caller's own, anew at every call, in the place of
+            `env_id`. A resumed run must be given it again.
         show_progress: Show a bar with return, bonus in nats and steps per second.
 
     Returns:
@@ -50,7 +54,7 @@ def train(
     """
     # 1. Initialise policy, values, model and replay, or restore them
     with (
-        open_run(config, resume=resume, hunger=hunger) as run,
+        open_run(config, resume=resume, hunger=hunger, make_env=make_env) as run,
         catch_interruption() as interruption,
     ):
         course, num_envs = run.config.run, run.config.environment.num_envs
@@ -117,6 +121,7 @@ def continue_run(
     *,
     total_steps: int | None = None,
     hunger: HungerFunction | None = None,
+    make_env: MakeEnv | None = None,
     show_progress: bool = True,
 ) -> dict[str, Any]:
     """Continue the run in a folder, in place.
@@ -125,6 +130,7 @@ def continue_run(
         folder: Of the run.
         total_steps: Environment steps, those already taken included; as before when `None`.
         hunger: As in `train`.
+        make_env: As in `train`.
         show_progress: As in `train`.
 
     Returns:
@@ -136,7 +142,9 @@ def continue_run(
     config = read_config(Path(folder))
     if total_steps is not None:
         config = config.override(total_steps=total_steps)
-    return train(config, resume=True, hunger=hunger, show_progress=show_progress)
+    return train(
+        config, resume=True, hunger=hunger, make_env=make_env, show_progress=show_progress
+    )
 
 
 def _postfix(values: dict[str, float]) -> str:

@@ -102,4 +102,4 @@ def write_video(path: Path, frames: list[NDArray[np.uint8]], *, fps: int) -> Non
 def _frame(environment: gymnasium.Env) -> NDArray[np.uint8]:
     frame = environment.render()
     assert isinstance(frame, np.ndarray)
-    return frame
+    return frame.copy()  # a renderer may draw the next one into the same array

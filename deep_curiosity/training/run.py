@@ -25,8 +25,10 @@ from deep_curiosity.speed.machine import fitted_machine
 from deep_curiosity.speed.precision import matmul_error
 from deep_curiosity.training.checkpoint import load_checkpoint, save_checkpoint
 from deep_curiosity.training.collector import Collector, evaluate
-from deep_curiosity.training.config import IGNORED, Config
+from deep_curiosity.training.config import IGNORED, Config, EnvironmentConfig
 from deep_curiosity.training.environments import (
+    MADE_BY_FUNCTION,
+    MakeEnv,
     action_dim,
     make_environment,
     make_vector_environment,
@@ -103,7 +105,10 @@ class Run:
         run_log = self.run_log
         values = {
             "episode/return_mean": _number(mean_return(run_log.episodes)),
-            "episode/success_rate": _number(success_rate(run_log.episodes)),
+            "episode/success_rate": _number(
+                success_rate(run_log.episodes, is_defined=run_log.defines_success)
+            ),
+            "episode/broken": float(run_log.broken_episodes),
             "time/steps_per_second": run_log.steps_per_second,
         }
         total_cells = num_cells(self.evaluation_environment)
@@ -120,7 +125,9 @@ class Run:
         episodes = self.run_log.evaluations[-self.config.run.evaluation_episodes :]
         return {
             "eval/return": _number(mean_return(episodes, num_recent=len(episodes))),
-            "eval/success_rate": _number(success_rate(episodes)),
+            "eval/success_rate": _number(
+                success_rate(episodes, is_defined=self.run_log.defines_success)
+            ),
         }
 
     def save(self) -> None:
@@ -158,7 +165,11 @@ class Run:
 
 @contextmanager
 def open_run(
-    config: Config, *, resume: bool = False, hunger: HungerFunction | None = None
+    config: Config,
+    *,
+    resume: bool = False,
+    hunger: HungerFunction | None = None,
+    make_env: MakeEnv | None = None,
 ) -> Iterator[Run]:
     """Begin a run, or continue the one in its folder; close it however it ends.
 
@@ -166,6 +177,7 @@ def open_run(
         config: Settings of the run.
         resume: Continue.
         hunger: The caller's own function of observation and info.
+        make_env: The caller's own function that makes an environment.
 
     Raises:
         FileExistsError: If `out` already holds a run that is not to be continued.
@@ -173,6 +185,7 @@ def open_run(
         ValueError: If the environment is not one the agent can take, or a run is to be continued
             with other settings than its own.
     """
+    config = with_make_env(config, make_env)
     if resume:
         config = merge_config(config, read_config(config.run.out))
     with ExitStack() as stack:
@@ -181,11 +194,11 @@ def open_run(
         config = replace(config, speed=speed)
         _print_machine(config)
         torch.manual_seed(config.run.seed)
-        evaluation_environment = make_environment(config.environment)
+        evaluation_environment = make_environment(config.environment, **_own(make_env))
         stack.callback(evaluation_environment.close)
         sizes = observation_dim(evaluation_environment), action_dim(evaluation_environment)
         learner = Learner(config, *sizes, hunger)
-        collector = make_collector(config)
+        collector = make_collector(config, make_env)
         stack.callback(collector.environment.close)
         if resume:
             run_log = _restore(config.run.out, learner, collector)
@@ -204,10 +217,22 @@ def open_run(
         yield run
 
 
-def make_collector(config: Config) -> Collector:
+def with_make_env(config: Config, make_env: MakeEnv | None) -> Config:
+    """Settings that say so where the caller's own function makes the environments."""
+    if make_env is None or config.environment.env_id != EnvironmentConfig().env_id:
+        return config
+    return config.override(env_id=MADE_BY_FUNCTION)
+
+
+def _own(make_env: MakeEnv | None) -> dict[str, Any]:
+    """The caller's own function as an argument, where there is one."""
+    return {} if make_env is None else {"make_env": make_env}
+
+
+def make_collector(config: Config, make_env: MakeEnv | None = None) -> Collector:
     """Collector of a run, with its environment."""
     make = make_environment if config.environment.num_envs == 1 else make_vector_environment
-    return Collector(make(config.environment), config.run.seed)
+    return Collector(make(config.environment, **_own(make_env)), config.run.seed)
 
 
 def merge_config(wanted: Config, own: Config) -> Config:

@@ -50,13 +50,25 @@ class RunLog:
         """Share of the task's cells visited in training, `None` where it has none."""
         return None if num_cells is None else len(self.cells) / num_cells
 
+    @property
+    def defines_success(self) -> bool:
+        """Whether the task has spoken of success, which some tasks do at a success alone."""
+        told = (episode.success for episode in (*self.episodes, *self.evaluations))
+        return not all(map(math.isnan, told))
+
+    @property
+    def broken_episodes(self) -> int:
+        """Episodes, of training and evaluation, in which the environment gave NaN or infinity."""
+        return sum(episode.broken for episode in (*self.episodes, *self.evaluations))
+
     def summary(self, num_cells: int | None) -> dict[str, Any]:
         """The figures by which runs are compared."""
         return {
             "evaluation_return": mean_return(self.evaluations),
             "training_return": mean_return(self.episodes),
             "mean_training_return": mean_return(self.episodes, num_recent=len(self.episodes)),
-            "success_rate": success_rate(self.evaluations),
+            "success_rate": success_rate(self.evaluations, is_defined=self.defines_success),
+            "broken_episodes": self.broken_episodes,
             "first_success_step": self.first_success_step,
             "coverage": self.coverage(num_cells),
             "steps_per_second": _or_none(self.steps_per_second),
@@ -76,15 +88,23 @@ class RunLog:
 
 
 def mean_return(episodes: Sequence[Episode], num_recent: int = NUM_RECENT) -> float | None:
-    """Mean return of the newest episodes, `None` without any."""
-    returns = [episode.episode_return for episode in episodes[-num_recent:]]
+    """Mean return of the newest episodes, `None` without any; those that broke do not count."""
+    returns = [episode.episode_return for episode in episodes[-num_recent:] if not episode.broken]
     return sum(returns) / len(returns) if returns else None
 
 
-def success_rate(episodes: Sequence[Episode]) -> float | None:
-    """Share of successes among the 10 newest episodes, `None` where the task defines none."""
-    successes = [episode.success for episode in episodes[-NUM_RECENT:]]
-    return _or_none(sum(successes) / len(successes)) if successes else None
+def success_rate(episodes: Sequence[Episode], *, is_defined: bool = False) -> float | None:
+    """Share of successes among the 10 newest episodes, `None` where the task defines none.
+
+    Args:
+        episodes: In their order.
+        is_defined: Whether the task is known to define success: an episode without a word of it
+            then had none. So it is, too, where another of these episodes has a word of it.
+    """
+    successes = [episode.success for episode in episodes]
+    if not successes or (not is_defined and all(map(math.isnan, successes))):
+        return None
+    return float(np.nan_to_num(successes[-NUM_RECENT:]).mean())
 
 
 def _or_none(value: float) -> float | None:

@@ -44,7 +44,10 @@ class SingleEnvironment(VectorEnv):
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, dict[str, Any]]:
         """Step the environment."""
         with clock_stopped():
-            observation, reward, terminated, truncated, info = self.environment.step(actions[0])
+            # a copy, of which the environment may make what it likes
+            observation, reward, terminated, truncated, info = self.environment.step(
+                np.array(actions[0])
+            )
         return (
             np.array(observation)[None],
             np.array([reward], dtype=np.float64),
@@ -65,7 +68,7 @@ def _batched(info: dict[str, Any]) -> dict[str, Any]:
 
 def _with_axis(value: Any) -> np.ndarray:
     if isinstance(value, np.ndarray | np.generic | bool | int | float):
-        return np.asarray(value)[None]
+        return np.array(value)[None]
     entry = np.empty(1, dtype=object)  # whose shape numpy does not guess
     entry[0] = value
     return entry

@@ -22,5 +22,5 @@ def first_window(observation: np.ndarray, action_dim: int, num_frames: int) -> n
 
 def next_window(window: np.ndarray, action: np.ndarray, observation: np.ndarray) -> np.ndarray:
     """Windows one step later, `(*batch, window_dim)`."""
-    longer = np.concatenate((window, action.astype(window.dtype), observation), axis=-1)
+    longer = np.concatenate((window, action, observation), axis=-1, dtype=window.dtype)
     return longer[..., -window.shape[-1] :]

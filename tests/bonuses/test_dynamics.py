@@ -6,6 +6,7 @@ from torch.distributions import Normal
 
 from deep_curiosity.bonuses import dynamics
 from deep_curiosity.bonuses.dynamics import DynamicsEnsemble, is_held_out, soft_clamp
+from deep_curiosity.gaussians import DiagonalMixture
 from deep_curiosity.transitions import Transition
 
 
@@ -510,3 +511,59 @@ def test_in_round_robin_order_each_row_is_predicted_by_one_member(batch):
 def test_an_unknown_choice_of_members_is_rejected():
     with pytest.raises((ValueError, TypeError), match="members"):
         small_ensemble(members="best")
+
+
+def fixed_prediction(dynamics, loc, log_var, log_weight=None):
+    """An ensemble that predicts the same whitened change everywhere."""
+    weight = torch.zeros_like(loc[..., 0]) if log_weight is None else log_weight
+    dynamics._whitened_change = lambda observation, action: DiagonalMixture(loc, log_var, weight)
+    return dynamics
+
+
+def test_a_change_in_its_own_units_by_hand():
+    dynamics = DynamicsEnsemble(1, 1, num_members=2, whitening="moments")
+    dynamics.change_moments.center.fill_(3.0)
+    dynamics.change_moments.scale.fill_(2.0)
+    loc = torch.tensor([0.5, -1.0]).reshape(2, 1, 1, 1)
+    log_var = 2 * torch.tensor([0.25, 1.0]).log().reshape(2, 1, 1, 1)
+    mean, var = fixed_prediction(dynamics, loc, log_var).change(
+        torch.zeros(1, 1), torch.zeros(1, 1)
+    )
+    assert mean.flatten().tolist() == pytest.approx([4.0, 1.0])
+    assert var.flatten().tolist() == pytest.approx([0.25, 4.0])
+
+
+def test_a_change_of_saturating_units_is_that_of_the_hyperbolic_sine():
+    dynamics = DynamicsEnsemble(1, 1, num_members=2, whitening="saturating")
+    dynamics.change_moments.center.fill_(3.0)
+    dynamics.change_moments.scale.fill_(2.0)
+    loc = torch.tensor([0.7, -2.0]).reshape(2, 1, 1, 1)
+    std = torch.tensor([0.5, 0.1]).reshape(2, 1, 1, 1)
+    mean, var = fixed_prediction(dynamics, loc, 2 * std.log()).change(
+        torch.zeros(1, 1), torch.zeros(1, 1)
+    )
+    loc, std = loc.double(), std.double()
+    first = torch.sinh(loc) * torch.exp(std**2 / 2)  # of a Gaussian, in closed form
+    second = (torch.cosh(2 * loc) * torch.exp(2 * std**2) - 1) / 2
+    torch.testing.assert_close(mean, (3 + 2 * first).squeeze(-1))
+    torch.testing.assert_close(var, 4 * (second - first**2).squeeze(-1), rtol=1e-5, atol=0)
+
+
+def test_samples_of_a_change_have_the_weights_of_members_and_components():
+    dynamics = DynamicsEnsemble(1, 1, num_members=2, mixture_components=2, whitening="moments")
+    loc = torch.tensor([[-10.0, 0.0], [10.0, 20.0]]).reshape(2, 1, 2, 1)
+    log_weight = torch.tensor([[0.25, 0.75], [0.5, 0.5]]).log().reshape(2, 1, 2)
+    fixed_prediction(dynamics, loc, torch.full_like(loc, -20.0), log_weight)
+    choice = ((torch.arange(1_000) + 0.5) / 1_000).reshape(-1, 1)
+    samples = dynamics.sample_change(
+        torch.zeros(1, 1), torch.zeros(1, 1), torch.zeros(1_000, 1, 1), choice
+    )
+    values, counts = samples.flatten().unique(return_counts=True)
+    assert dict(zip(values.tolist(), counts.tolist(), strict=True)) == {
+        -10.0: 125, 0.0: 375, 10.0: 250, 20.0: 250
+    }  # fmt: skip
+    noise = torch.ones(1_000, 1, 1)
+    moved = dynamics.sample_change(torch.zeros(1, 1), torch.zeros(1, 1), noise, choice)
+    torch.testing.assert_close(
+        moved - samples, torch.full_like(samples, math.exp(-10.0)), rtol=0, atol=1e-5
+    )

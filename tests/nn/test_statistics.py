@@ -291,3 +291,11 @@ def test_a_bonus_is_silent_until_it_has_statistics_and_cut_at_five_deviations():
     standardization.update(torch.tensor([-1.0, 1.0]))
     value = standardization(torch.tensor([-100.0, 0.0, 100.0]))
     assert value.tolist() == pytest.approx([-2.5, 0.0, 2.5])
+
+
+@pytest.mark.parametrize("whitening", WHITENINGS)
+def test_what_is_denormalized_is_as_before_it_was_normalized(whitening):
+    moments = WHITENINGS[whitening](3)
+    moments.update(3 * torch.randn(500, 3) + 5)
+    value = 3 * torch.randn(50, 3) + 5
+    torch.testing.assert_close(moments.denormalize(moments.normalize(value)), value)

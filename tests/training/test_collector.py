@@ -204,3 +204,154 @@ def test_the_present_info_belongs_to_the_present_observation(vectorization):
         assert collector.present_info["energy"] == pytest.approx(collector.observation[:, -1])
     assert ended >= 3
     environments.close()
+
+
+class Fragile(Counter):
+    """Counts as the others do, and shows what is not finite once in a while."""
+
+    def __init__(self, *, breaks_at, shows=np.nan, in_reward=False, **ends):
+        super().__init__(**ends)
+        self.breaks_at, self.shows, self.in_reward = breaks_at, shows, in_reward
+        self.breaks = False
+
+    def reset(self, *, seed=None, options=None):
+        observation, info = super().reset(seed=seed)
+        self.breaks = self.np_random.uniform() < 0.4
+        return observation, info
+
+    def step(self, action):
+        observation, reward, terminated, truncated, info = super().step(action)
+        if self.breaks and self.count == self.breaks_at:
+            if self.in_reward:
+                return observation, self.shows, True, truncated, info
+            return observation * self.shows, reward, True, truncated, info
+        return observation, reward, terminated, truncated, info
+
+
+BREAKS = pytest.mark.filterwarnings("ignore:`observation` and `reward` must be finite")
+
+
+def fragile(number, **settings):
+    makers = [lambda: Fragile(breaks_at=3, truncate_at=5, **settings)] * number
+    return SyncVectorEnv(makers, autoreset_mode=AutoresetMode.DISABLED)
+
+
+@BREAKS
+@pytest.mark.parametrize("in_reward", [False, True])
+@pytest.mark.parametrize("shows", [np.nan, np.inf, -np.inf])
+@pytest.mark.parametrize("number", [1, 3])
+def test_an_episode_is_cut_off_before_a_step_that_is_not_finite(number, shows, in_reward):
+    collector = Collector(fragile(number, shows=shows, in_reward=in_reward), seed=0)
+    taken = vector_steps(collector, 60)
+    episodes = [episode for _, finished in taken for episode in finished]
+    broken = [episode for episode in episodes if episode.broken]
+    assert 0 < len(broken) < len(episodes)
+    assert {episode.length for episode in broken} == {3}
+    assert {episode.length for episode in episodes if not episode.broken} == {5}
+    assert sum(int((~step.sound).sum()) for step, _ in taken) == len(broken)
+    for step, _ in taken:
+        assert all(np.isfinite(field).all() for field in step)
+        assert step.truncated[~step.sound].all() and not step.terminated[~step.sound].any()
+        assert (step.reward[~step.sound] == 0).all()
+        moved = (step.next_observation - step.observation)[:, 0]
+        assert moved[step.sound] == pytest.approx(1) and (moved[~step.sound] == 0).all()
+    assert all(np.isfinite(episode.episode_return) for episode in episodes)
+
+
+def test_what_is_not_finite_is_told():
+    collector = Collector(Fragile(breaks_at=1, truncate_at=5), seed=0)
+    with pytest.warns(UserWarning, match="`observation` and `reward` must be finite, got NaN"):
+        steps(collector, 60)
+
+
+@BREAKS
+@pytest.mark.parametrize("number", [1, 2])
+@pytest.mark.parametrize("saved_at", range(12))
+def test_environments_that_broke_go_on_as_saved(saved_at, number):
+    collector = Collector(fragile(number), seed=1)
+    vector_steps(collector, saved_at)
+    restored = Collector(fragile(number), seed=1)
+    restored.load_state_dict(collector.state_dict())
+    for one, other in zip(vector_steps(collector, 30), vector_steps(restored, 30), strict=True):
+        for field, other_field in zip(one[0], other[0], strict=True):
+            assert np.array_equal(field, other_field)
+        assert str(one[1]) == str(other[1])  # NaN is not NaN
+
+
+@BREAKS
+def test_an_environment_that_always_breaks_is_an_error():
+    class Broken(Counter):
+        def step(self, action):
+            return np.full(1, np.nan), *super().step(action)[1:]
+
+    class NeverStarts(Counter):
+        def _observation(self):
+            return np.full(1, np.nan, np.float32)
+
+    message = "`observation` and `reward` must be finite, got NaN .* 20 episodes one after another"
+    with pytest.raises(ValueError, match=message):
+        steps(Collector(Broken(), seed=0), 100)
+    with pytest.raises(ValueError, match=message):
+        Collector(NeverStarts(), seed=0)
+    with pytest.raises(ValueError, match=message):
+        evaluate(lambda x, info: torch.zeros(1, 1), Broken(), episodes=25, seed=0)
+
+
+@BREAKS
+@pytest.mark.parametrize("number", [1, 3])
+def test_a_start_that_is_not_finite_is_left_for_the_next(number):
+    class Stumbles(Counter):
+        def reset(self, *, seed=None, options=None):
+            observation, info = super().reset(seed=seed)
+            stumbles = self.np_random.uniform() < 0.5
+            return (observation * np.nan if stumbles else observation), info
+
+    makers = [lambda: Stumbles(truncate_at=2)] * number
+    collector = Collector(SyncVectorEnv(makers, autoreset_mode=AutoresetMode.DISABLED), seed=0)
+    for step, _ in vector_steps(collector, 40):
+        assert np.isfinite(step.observation).all() and step.sound.all()
+        assert step.next_observation == pytest.approx(step.observation + 1)
+
+
+@pytest.mark.parametrize("number", [1, 2])
+def test_absurd_numbers_are_cut_told_once_and_restored(number):
+    class Spiked(Counter):
+        def step(self, action):
+            observation, reward, *rest = super().step(action)
+            spike = self.count == 5
+            return observation * np.float32(1e12 if spike else 1), reward + 1e30 * spike, *rest
+
+    def collector():
+        makers = [lambda: Spiked(truncate_at=9)] * number
+        return Collector(SyncVectorEnv(makers, autoreset_mode=AutoresetMode.DISABLED), seed=0)
+
+    first = collector()
+    with pytest.warns(UserWarning, match="should stay within 100 times") as told:
+        taken = [first.step(np.full((number, 1), 1.0, np.float32)) for _ in range(30)]
+    assert sorted(str(each.message).split("`")[1] for each in told) == ["observation", "reward"]
+    assert "entry 0" in str(told[0].message)
+    assert max(float(step.next_observation.max()) for step, _ in taken) < 1e5
+    assert max(float(step.reward.max()) for step, _ in taken) < 1e5
+    assert taken[8][1][0].episode_return > 1e29  # of the rewards as they came
+    after = taken[5][0]  # begins where the cut step ended
+    assert np.array_equal(after.observation, taken[4][0].next_observation)
+    second = collector()
+    second.load_state_dict(first.state_dict())
+    assert np.array_equal(first.observation, second.observation)
+    second._cut_names = first._cut_names  # told already
+    for _ in range(6):
+        one, other = (each.step(np.full((number, 1), 1.0)) for each in (first, second))
+        assert np.array_equal(one[0].next_observation, other[0].next_observation)
+        assert np.array_equal(one[0].reward, other[0].reward)
+
+
+def test_success_that_is_told_at_a_success_alone_is_unknown_in_the_others():
+    class Told(Counter):
+        def step(self, action):
+            *rest, info = super().step(action)
+            return *rest, info if info["is_success"] else {}
+
+    makers = [lambda: Told(truncate_at=2, succeed_at=1), lambda: Told(truncate_at=2, succeed_at=9)]
+    collector = Collector(SyncVectorEnv(makers, autoreset_mode=AutoresetMode.DISABLED), seed=0)
+    finished = vector_steps(collector, 2)[-1][1]
+    assert finished[0].success == 1.0 and math.isnan(finished[1].success)

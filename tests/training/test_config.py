@@ -192,7 +192,7 @@ def test_what_cannot_be_or_would_do_nothing_is_refused_by_name(values, message):
     [
         ({"batch_size": 2.5}, "`batch_size` must be int, got 2.5"),
         ({"batch_size": True}, "`batch_size` must be int, got True"),
-        ({"env_kwargs": {"a": "b"}}, "`env_kwargs` must be .*dict"),
+        ({"env_kwargs": {"a": [1]}}, "`env_kwargs` must be .*dict"),
         ({"curiosity_ends": "late"}, "`curiosity_ends` must be int or None, got 'late'"),
         ({"history": 2}, "`history` is no setting here; there are env_id, .*frame_stack"),
         ({"bonus": "rnd", "noise_floor": 0.1}, "`noise_floor` is no setting .*random_features"),

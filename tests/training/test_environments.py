@@ -1,15 +1,22 @@
 import os
 import signal
+import sys
+from dataclasses import replace
 
 import gymnasium
 import numpy as np
 import pytest
+import torch
 from gymnasium import spaces
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 
 import deep_curiosity_envs
+from deep_curiosity.training import environments
+from deep_curiosity.training.collector import Collector, evaluate
 from deep_curiosity.training.config import EnvironmentConfig
 from deep_curiosity.training.environments import (
+    MADE_BY_FUNCTION,
+    MAX_EPISODE_STEPS,
     check_spaces,
     make_environment,
     make_vector_environment,
@@ -149,3 +156,271 @@ def test_a_native_environment_is_only_for_our_own_tasks():
 def test_nothing_is_registered_twice():
     assert len(set(deep_curiosity_envs.TASK_IDS)) == len(deep_curiosity_envs.TASK_IDS)
     assert set(deep_curiosity_envs.TASK_IDS) <= set(gymnasium.registry)
+
+
+class Task(gymnasium.Env):
+    """Never ends by itself; what it shows and takes can be chosen."""
+
+    def __init__(self, observation_space=VECTOR, action_space=VECTOR, word="", flag=None):
+        self.observation_space, self.action_space = observation_space, action_space
+        self.word, self.flag, self.taken = word, flag, []
+        self.observation_space.seed(0)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        return self.observation_space.sample(), {}
+
+    def step(self, action):
+        self.taken.append(action)
+        info = {"success": np.array([1.0])} if len(self.taken) == 3 else {}
+        return self.observation_space.sample(), np.array([0.5]), False, False, info
+
+
+@pytest.fixture
+def own():
+    """The id of a task that is registered for one test."""
+    gymnasium.register("Own-v0", entry_point=Task, max_episode_steps=5)
+    yield "Own-v0"
+    gymnasium.registry.pop("Own-v0")
+
+
+UNMADE = EnvironmentConfig(MADE_BY_FUNCTION, max_episode_steps=5)
+
+
+def made(observation_space=VECTOR, action_space=VECTOR, **settings):
+    def make():
+        return Task(observation_space, action_space)
+
+    return make_environment(replace(UNMADE, **settings), make_env=make)
+
+
+@pytest.mark.parametrize(
+    ("action_space", "message"),
+    [
+        (spaces.Box(0, 10, (1,), np.int64), "must be a Box of continuous vectors.*int64"),
+        (spaces.Box(0, 10, (1,), np.uint8), "must be a Box of continuous vectors.*uint8"),
+        (spaces.Box(-1.0, 1.0, (0,)), "must be a Box of continuous vectors of one entry or more"),
+        (spaces.Box(-3e38, 3e38, (1,)), r"must be bounded on both sides, by at most 1e\+09"),
+        (
+            spaces.Box(np.float32([-1.0, 2.0]), np.float32([1.0, 2.0])),
+            "must have `low` below `high`",
+        ),
+    ],
+    ids=str,
+)
+def test_actions_that_cannot_be_served_are_named(action_space, message):
+    with pytest.raises(ValueError, match=f"`action_space` {message}"):
+        made(action_space=action_space)
+
+
+def test_an_observation_without_an_entry_is_named():
+    with pytest.raises(
+        ValueError, match=r"`observation_space` must be a Box .* one entry or more"
+    ):
+        made(spaces.Box(-1.0, 1.0, (0,)))
+
+
+@pytest.mark.parametrize("frame_stack", [1, 3])
+@pytest.mark.parametrize("dtype", [np.int8, np.uint8, np.int64, np.uint64, np.float16])
+def test_whole_numbers_are_observed_as_real_ones(dtype, frame_stack):
+    info = np.finfo(dtype) if np.dtype(dtype).kind == "f" else np.iinfo(dtype)
+    space = spaces.Box(info.min, info.max, (2,), dtype)
+    environment = made(space, frame_stack=frame_stack)
+    environment.reset(seed=0)
+    action = np.array([-0.5, 0.25, 1.0], np.float32)
+    for _ in range(2):
+        observation = environment.step(action)[0]
+    assert observation.dtype == environment.observation_space.dtype == np.float32
+    assert observation.shape == environment.observation_space.shape
+    if frame_stack > 1:
+        assert observation[-5:-2].tolist() == action.tolist()
+
+
+@pytest.mark.parametrize("frame_stack", [1, 3])
+@pytest.mark.parametrize("vectorization", ["sync", "async"])
+def test_what_an_environment_changes_in_place_stays_as_it_was(vectorization, frame_stack):
+    class InPlace(Task):
+        def reset(self, *, seed=None, options=None):
+            self.state = np.zeros(3, np.float32)
+            return self.state, {}
+
+        def step(self, action):
+            self.state += 0.1
+            action *= 0
+            return self.state, 0.0, False, False, {}
+
+    config = replace(UNMADE, frame_stack=frame_stack)
+    many = replace(config, num_envs=2, vectorization=vectorization)
+    for environment in (
+        make_environment(config, make_env=InPlace),
+        make_vector_environment(many, make_env=InPlace),
+    ):
+        collector = Collector(environment, seed=0)
+        action = np.full((collector.environment.num_envs, 3), 0.5, np.float32)
+        taken = [collector.step(action)[0] for _ in range(12)]
+        for step in taken:
+            moved = step.next_observation[:, -3:] - step.observation[:, -3:]
+            assert moved == pytest.approx(0.1, abs=1e-6)
+        assert (action == 0.5).all()
+        environment.close()
+
+
+GOAL = spaces.Dict(
+    observation=spaces.Box(-1.0, 1.0, (4,), np.float64),
+    desired_goal=spaces.Box(-1.0, 1.0, (2,), np.float64),
+    parts=spaces.Tuple((spaces.Discrete(3), spaces.Box(0, 9, (2, 2), np.int64))),
+)
+
+
+def test_dictionaries_become_vectors_of_the_entries_that_are_wanted():
+    assert made(GOAL).observation_space.shape == (4 + 2 + 3 + 4,)
+    chosen = made(GOAL, observation_keys=("observation", "desired_goal"))
+    observation, _ = chosen.reset(seed=0)
+    assert chosen.observation_space.shape == observation.shape == (6,)
+    assert observation.dtype == np.float64
+    expected = made(GOAL).reset(seed=0)[0]
+    GOAL.seed(0)
+    sample = GOAL.sample()
+    assert observation[:2].tolist() == sample["desired_goal"].tolist()
+    assert observation[2:].tolist() == sample["observation"].tolist()
+    assert expected.shape == (13,)
+
+
+def test_entries_that_are_not_there_and_images_are_named():
+    with pytest.raises(
+        ValueError, match=r"`observation_keys` must be entries .*desired_goal.*'a'"
+    ):
+        made(GOAL, observation_keys=("a",))
+    with pytest.raises(ValueError, match=r"`observation_keys` must be entries .*no dictionary"):
+        made(observation_keys=("a",))
+    camera = spaces.Dict(camera=spaces.Box(0, 255, (8, 8, 3), np.uint8), speed=VECTOR)
+    with pytest.raises(ValueError, match=r"`observation_space` must have no images.*_keys"):
+        made(camera)
+    assert made(camera, observation_keys=("speed",)).observation_space.shape == (3,)
+
+
+def test_an_episode_has_the_limit_that_is_set_or_that_of_the_task(own):
+    def length(environment):
+        collector = Collector(environment, seed=0)
+        action = np.zeros((collector.environment.num_envs, 3), np.float32)
+        finished = []
+        while not finished:
+            finished = collector.step(action)[1]
+        environment.close()
+        return finished[0].length
+
+    assert length(make_environment(EnvironmentConfig(own))) == 5
+    for limit in (2, 9):
+        config = EnvironmentConfig(own, max_episode_steps=limit)
+        assert length(make_environment(config)) == limit
+        assert length(make_vector_environment(replace(config, num_envs=2))) == limit
+        assert (
+            length(make_environment(EnvironmentConfig(own, {"max_episode_steps": limit}))) == limit
+        )
+    native = EnvironmentConfig("ReacherSparse", max_episode_steps=7, num_envs=2)
+    environment = make_vector_environment(native)
+    assert type(environment) is MujocoVectorEnv
+    collector, finished = Collector(environment, seed=0), []
+    while not finished:
+        finished = collector.step(np.zeros((2, 2), np.float32))[1]
+    assert finished[0].length == 7
+
+
+def test_a_task_without_a_limit_is_told_of_and_cut_off():
+    with pytest.warns(
+        UserWarning, match="`max_episode_steps` should be set.*make_env.*1000 steps"
+    ):
+        environment = make_environment(EnvironmentConfig(MADE_BY_FUNCTION), make_env=Task)
+    (episode,) = evaluate(lambda x, info: torch.zeros(1, 3), environment, episodes=1, seed=0)
+    assert episode.length == MAX_EPISODE_STEPS
+    own_limit = gymnasium.wrappers.TimeLimit(Task(), 7)  # which is seen, and kept
+    environment = make_environment(EnvironmentConfig(MADE_BY_FUNCTION), make_env=lambda: own_limit)
+    (episode,) = evaluate(lambda x, info: torch.zeros(1, 3), environment, episodes=1, seed=0)
+    assert episode.length == 7
+
+
+def test_success_is_heard_and_ends_an_episode_if_that_is_wanted(own):
+    for ends, length in ((False, 5), (True, 3)):
+        config = EnvironmentConfig(own, terminate_on_success=ends)
+        for environment in (
+            make_environment(config),
+            make_vector_environment(replace(config, num_envs=2)),
+        ):
+            collector, finished = Collector(environment, seed=0), []
+            action = np.zeros((collector.environment.num_envs, 3), np.float32)
+            while not finished:
+                step, finished = collector.step(action)
+            assert (finished[0].length, finished[0].success) == (length, 1.0)
+            assert bool(step.terminated[0]) is ends
+
+
+def test_a_native_environment_does_not_end_at_success():
+    config = EnvironmentConfig("PointMaze", num_envs=2, terminate_on_success=True)
+    assert type(make_vector_environment(config)) is SyncVectorEnv
+    with pytest.raises(
+        ValueError, match=r"`vectorization` must be .*end at success, got 'native'"
+    ):
+        make_vector_environment(replace(config, vectorization="native"))
+
+
+def test_arguments_of_every_kind_reach_the_task(own):
+    environment = make_environment(EnvironmentConfig(own, {"word": "yes", "flag": True}))
+    assert (environment.unwrapped.word, environment.unwrapped.flag) == ("yes", True)
+
+
+def test_a_function_makes_the_environment_in_the_place_of_an_id():
+    assert isinstance(made().unwrapped, Task)
+    with pytest.raises(ValueError, match=r"`make_env` must be given again.*got None"):
+        make_environment(UNMADE)
+    with pytest.raises(ValueError, match=r"`env_id` must be left out beside `make_env`, got 'Pen"):
+        make_environment(EnvironmentConfig("PendulumSwingup"), make_env=Task)
+    with pytest.raises(ValueError, match=r"`env_kwargs` must be left out beside `make_env`"):
+        make_environment(replace(UNMADE, env_kwargs={"a": 1}), make_env=Task)
+    with pytest.raises(ValueError, match=r"`make_env` must return a gymnasium environment, got 3"):
+        make_environment(UNMADE, make_env=lambda: 3)
+
+
+def test_a_module_is_imported_for_its_tasks(tmp_path, monkeypatch):
+    (tmp_path / "tasks_of_mine.py").write_text(
+        "import gymnasium\n"
+        "gymnasium.register('Mine-v0', entry_point='gymnasium.envs.classic_control:PendulumEnv',\n"
+        "                   max_episode_steps=5)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    environment = make_environment(EnvironmentConfig("tasks_of_mine:Mine-v0"))
+    assert environment.spec.max_episode_steps == 5
+    gymnasium.registry.pop("Mine-v0")
+    with pytest.raises(
+        ValueError, match=r"`env_id` must be a registered id.*'tasks_of_mine:Other"
+    ):
+        make_environment(EnvironmentConfig("tasks_of_mine:Other-v0"))
+    with pytest.raises(ValueError, match=r"`env_id` must name a module.*PYTHONPATH.*'nowhere:M"):
+        make_environment(EnvironmentConfig("nowhere:Mine-v0"))
+
+
+def test_a_task_of_gymnasium_robotics_names_its_extra_or_the_mujoco_it_needs(monkeypatch):
+    monkeypatch.setitem(sys.modules, "gymnasium_robotics", None)
+    with pytest.raises(ImportError, match=r"gymnasium_robotics is missing.*\[robotics\]"):
+        make_environment(EnvironmentConfig("PointMaze_UMaze-v3"))
+
+    class OfAnotherMujoco(Task):
+        __module__ = "gymnasium_robotics.envs"
+
+        def __init__(self):
+            raise AssertionError
+
+    monkeypatch.setattr(environments, "version", {"mujoco": "3.17.0"}.get)
+    gymnasium.register("FetchOwn-v4", entry_point=OfAnotherMujoco, max_episode_steps=5)
+    with pytest.raises(ImportError, match=r"`env_id` must .* mujoco 3.17.0, got 'FetchOwn-v4'"):
+        make_environment(EnvironmentConfig("FetchOwn-v4"))
+    gymnasium.registry.pop("FetchOwn-v4")
+
+
+@pytest.mark.parametrize("env_id", ["PointMaze_UMaze-v3", "AntMaze_UMaze-v5", "AdroitHandDoor-v1"])
+def test_mazes_and_hands_of_gymnasium_robotics_are_taken(env_id):
+    pytest.importorskip("gymnasium_robotics")
+    config = EnvironmentConfig(env_id, max_episode_steps=4, terminate_on_success=True)
+    collector = Collector(make_environment(config), seed=0)
+    size = collector.environment.single_action_space.shape
+    finished = [collector.step(np.zeros((1, *size), np.float32))[1] for _ in range(4)][-1]
+    assert finished[0][1:3] == (4, 0.0)

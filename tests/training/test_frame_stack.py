@@ -158,3 +158,23 @@ def test_curiosity_is_about_the_two_newest_observations_of_a_window(
     config = tiny.override(frame_stack=frame_stack, features=features)
     bonus = make_run_bonus(config, 3 * frame_stack + frame_stack - 1, 1)
     assert bonus.entries == entries
+
+
+@pytest.mark.parametrize("dtype", [np.int8, np.uint8, np.int64])
+def test_a_window_over_whole_numbers_has_room_for_actions(dtype):
+    class Whole(Counter):
+        observation_space = spaces.Box(0, 100, (2,), dtype)
+
+        def reset(self, *, seed=None, options=None):
+            observation, info = super().reset(seed=seed)
+            return observation.astype(dtype), info
+
+        def step(self, action):
+            observation, *rest = super().step(action)
+            return observation.astype(dtype), *rest
+
+    env = FrameStack(Whole(), 2)
+    assert env.reset(seed=4)[0].tolist() == [4, 0, 0, 4, 0]
+    window = env.step(act(-0.5))[0]
+    assert window.tolist() == [4, 0, -0.5, 4, 1]
+    assert env.observation_space.contains(window)

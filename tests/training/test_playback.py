@@ -1,3 +1,4 @@
+import gymnasium
 import imageio.v2 as imageio
 import numpy as np
 import pytest
@@ -91,3 +92,23 @@ def test_a_video_holds_its_frames(tmp_path):
     shown = imageio.mimread(tmp_path / "new" / "video.gif")
     assert immeta(tmp_path / "new" / "video.gif", index=1)["duration"] == 100  # milliseconds
     assert [int(frame[0, 0, 0]) for frame in shown] == [0, 60, 120, 180]
+
+
+def test_frames_stay_as_they_were_when_the_renderer_reuses_its_memory():
+    class Drawn(gymnasium.Env):
+        observation_space = action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,))
+        canvas = np.zeros((2, 2, 3), np.uint8)
+
+        def reset(self, *, seed=None, options=None):
+            self.canvas[:] = 0
+            return np.zeros(1, np.float32), {}
+
+        def step(self, action):
+            self.canvas += 1
+            return np.zeros(1, np.float32), 0.0, False, bool(self.canvas[0, 0, 0] == 3), {}
+
+        def render(self):
+            return self.canvas
+
+    frames = record_episode(lambda observation, info: torch.zeros(1, 1), Drawn(), seed=0)
+    assert [int(frame.max()) for frame in frames] == [0, 1, 2]

@@ -75,3 +75,23 @@ def test_the_summary_is_plain_and_of_evaluations_and_training_apart():
     assert summary["success_rate"] == pytest.approx(0.5)
     assert summary["coverage"] == 0
     assert summary["wall_seconds"] == 2.0
+
+
+def test_a_task_that_speaks_of_success_at_a_success_alone_is_understood():
+    silent, success = Episode(0.0, 5), Episode(0.0, 5, 1.0)
+    assert success_rate([silent, success, silent, silent]) == pytest.approx(0.25)
+    assert success_rate([silent] * 3, is_defined=True) == 0
+    assert success_rate([success] + [silent] * NUM_RECENT) == 0
+    log = RunLog(episodes=[silent], evaluations=[silent])
+    assert not log.defines_success and log.summary(None)["success_rate"] is None
+    log = RunLog(episodes=[silent, success], evaluations=[silent])
+    assert log.defines_success and log.summary(None)["success_rate"] == 0
+
+
+def test_an_episode_that_broke_is_counted_and_its_return_is_not():
+    broken = Episode(-100.0, 2, broken=True)
+    log = RunLog(episodes=[*EPISODES, broken], evaluations=[broken, Episode(3.0, 5)])
+    assert log.broken_episodes == log.summary(None)["broken_episodes"] == 2
+    assert log.summary(None)["evaluation_return"] == 3.0
+    assert mean_return([broken]) is None
+    assert RunLog.from_state(log.state_dict()).broken_episodes == 2

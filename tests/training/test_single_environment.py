@@ -101,3 +101,19 @@ def test_closing_closes_the_environment():
     environment = Talkative()
     SingleEnvironment(environment).close()
     assert environment.closed
+
+
+def test_neither_side_reaches_into_the_arrays_of_the_other():
+    class Meddling(Talkative):
+        def step(self, action):
+            action *= 0
+            self.goal = np.ones(2)
+            return *super().step(action)[:4], {"goal": self.goal}
+
+    single = SingleEnvironment(Meddling())
+    single.reset(seed=0)
+    action = np.ones((1, 1), np.float32)
+    info = single.step(action)[4]
+    single.environment.goal[:] = 9
+    assert action.tolist() == [[1.0]]
+    assert info["goal"].tolist() == [[1.0, 1.0]]

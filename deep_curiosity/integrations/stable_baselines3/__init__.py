@@ -8,6 +8,7 @@ require("stable_baselines3", extra="sb3")
 warn_if_untested("stable_baselines3", lowest="2.7", below="3")
 
 from deep_curiosity.integrations.stable_baselines3.callback import CuriosityCallback
+from deep_curiosity.integrations.stable_baselines3.hindsight import CuriousHerReplayBuffer
 from deep_curiosity.integrations.stable_baselines3.integration import (
     StableBaselinesIntegration,
     StableBaselinesOnPolicyIntegration,
@@ -26,6 +27,7 @@ __all__ = [
     "CuriosityCallback",
     "CuriousDictReplayBuffer",
     "CuriousDictRolloutBuffer",
+    "CuriousHerReplayBuffer",
     "CuriousNStepReplayBuffer",
     "CuriousReplayBuffer",
     "CuriousRolloutBuffer",

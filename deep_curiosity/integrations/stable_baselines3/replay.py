@@ -78,7 +78,12 @@ class CuriousReplayBuffer(ReplayBuffer):
             observation_key=observation_key,
         )
         super().__init__(
-            buffer_size, observation_space, action_space, device, n_envs=n_envs, **options
+            buffer_size,
+            observation_space,
+            action_space,
+            device=device,  # by name: a buffer of goals has another argument in its place
+            n_envs=n_envs,
+            **options,
         )
 
     @property

@@ -1,0 +1,41 @@
+"""Bounds for what an environment says, so that one absurd number cannot spoil what is learned."""
+
+import numpy as np
+
+FACTOR = 100.0  # times the usual size of an entry, beyond which it is cut
+RISE = 0.05  # of the usual size, in logarithm, at a step that exceeds it
+SHARE = 0.01  # of the steps exceeds the usual size: where rise and fall balance
+MAX_DECLARED = 1e4  # a space that allows more says nothing of what is usual
+USUAL_REWARD = 10.0  # whatever was seen so far, since one that is sparse comes unannounced
+
+
+class UsualSize:
+    """Learns how large each entry of a stream usually is, and cuts what is absurdly larger.
+
+    The usual size is the 99 % quantile of the absolute value, tracked by steps of 5 %: numbers of
+    a new order of magnitude are taken as they are some 50 steps later, while one in a hundred
+    moves nothing. An entry is cut at a hundred times its usual size.
+
+    Args:
+        floor: `(dim,)`, sizes that are usual from the start, and always will be.
+    """
+
+    def __init__(self, floor: np.ndarray) -> None:
+        self.floor = floor
+        self.size = floor.copy()
+
+    def cut(self, value: np.ndarray) -> np.ndarray:
+        """The value, `(rows, dim)` and finite, each entry within its bound; learns from it."""
+        size = np.abs(value)
+        exceeds = (size > self.size).mean(0)
+        bound = FACTOR * self.size
+        self.size = np.maximum(self.size * np.exp(RISE * (exceeds - SHARE)), self.floor)
+        if (size <= bound).all():
+            return value
+        return np.clip(value, -bound, bound).astype(value.dtype)
+
+
+def usual_observation(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Sizes of observations that are usual from the start: 1, or what their space says."""
+    bound = np.maximum(np.abs(low), np.abs(high)).astype(float)
+    return np.where(bound <= MAX_DECLARED, np.maximum(bound / FACTOR, 1.0), 1.0)

@@ -1,0 +1,153 @@
+"""Wrappers that bring what a task says, in whatever form, to the one form that is trained on."""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+
+SUCCESS_NAMES = ("is_success", "success")
+"""Entries of an info by which tasks report success."""
+
+
+class PlainSteps(gymnasium.Wrapper):
+    """Makes reward and flags plain numbers, and success an entry `is_success` of the info.
+
+    What is no step by gymnasium's rules is refused by name.
+
+    Args:
+        env: A task as its author left it.
+        termination_is_success: The task says nothing of success, but terminates at its goal and
+            nowhere else.
+        terminate_on_success: End an episode once the task reports success.
+    """
+
+    def __init__(
+        self,
+        env: gymnasium.Env,
+        *,
+        termination_is_success: bool = False,
+        terminate_on_success: bool = False,
+    ) -> None:
+        super().__init__(env)
+        self.termination_is_success = termination_is_success
+        self.terminate_on_success = terminate_on_success
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode.
+
+        Raises:
+            ValueError: If the task does not return observation and info.
+        """
+        observation, info = _unpacked("reset", ("observation", "info"), self._reset(seed, options))
+        return observation, _with_success(info)
+
+    def step(self, action: np.ndarray) -> tuple[Any, float, bool, bool, dict[str, Any]]:
+        """Step the task.
+
+        Raises:
+            ValueError: If the task does not return observation, reward, two flags and info.
+        """
+        names = ("observation", "reward", "terminated", "truncated", "info")
+        observation, *values, info = _unpacked("step", names, self.env.step(action))
+        reward, terminated, truncated = map(_one_number, names[1:4], values)
+        info = _with_success(info)
+        if self.termination_is_success:
+            info["is_success"] = bool(terminated)
+        succeeded = self.terminate_on_success and info.get("is_success", False)
+        return observation, reward, bool(terminated) or succeeded, bool(truncated), info
+
+    def _reset(self, seed: int | None, options: dict[str, Any] | None) -> Any:
+        """What the task returns, which may be anything."""
+        return self.env.reset(seed=seed, options=options)
+
+
+class VectorObservation(gymnasium.Wrapper):
+    """Gives every observation as a new vector of real numbers, of the shape that was promised.
+
+    Args:
+        env: Its observations are vectors, of whole numbers too.
+    """
+
+    def __init__(self, env: gymnasium.Env) -> None:
+        super().__init__(env)
+        space = env.observation_space
+        assert isinstance(space, spaces.Box)
+        dtype = real_dtype(space.dtype)
+        low, high = space.low.astype(dtype), space.high.astype(dtype)
+        self.observation_space = spaces.Box(low, high, dtype=dtype)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin an episode.
+
+        Raises:
+            ValueError: If the observation has another shape than its space.
+        """
+        observation, info = self.env.reset(seed=seed, options=options)
+        return self._copied(observation), info
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, Any, bool, bool, dict[str, Any]]:
+        """Step the task.
+
+        Raises:
+            ValueError: If the observation has another shape than its space.
+        """
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        return self._copied(observation), reward, terminated, truncated, info
+
+    def _copied(self, observation: Any) -> np.ndarray:
+        """The observation in an array of its own, whatever the task does with its array."""
+        space = self.observation_space
+        with np.errstate(over="ignore"):  # what is too large becomes infinite, and is seen as that
+            copy: np.ndarray = np.array(observation, dtype=space.dtype)
+        if copy.shape != space.shape:
+            raise ValueError(
+                f"`observation` must have the shape {space.shape} of its `observation_space`, "
+                f"got {copy.shape}."
+            )
+        return copy
+
+
+def real_dtype(dtype: Any) -> type[np.floating]:
+    """Type in which observations are kept: float32, or float64 where they come in it."""
+    kind = np.dtype(dtype)
+    return np.float64 if kind.kind == "f" and kind.itemsize >= 8 else np.float32
+
+
+def _unpacked(name: str, parts: tuple[str, ...], returned: Any) -> tuple[Any, ...]:
+    if isinstance(returned, tuple) and len(returned) == len(parts):
+        return returned
+    got = f"{len(returned)} values" if isinstance(returned, tuple) else type(returned).__name__
+    raise ValueError(
+        f"`{name}` of the environment must return ({', '.join(parts)}), as gymnasium defines it, "
+        f"got {got}."
+    )
+
+
+def _one_number(name: str, value: Any) -> float:
+    """A number, or the one entry of an array."""
+    if isinstance(value, float | bool | int):
+        return float(value)
+    array = np.asarray(value)
+    if array.size != 1 or array.dtype.kind not in "fbiu":
+        raise ValueError(f"`{name}` must be one number, got {value!r}.")
+    return float(array.item())
+
+
+def _with_success(info: Any) -> dict[str, Any]:
+    """The info, with success under one name if the task speaks of it at all."""
+    if not isinstance(info, dict):
+        raise ValueError(f"`info` must be a dictionary, got {info!r}.")
+    told = [info[name] for name in SUCCESS_NAMES if name in info]
+    return info | {"is_success": any(map(_is_true, told))} if told else dict(info)
+
+
+def _is_true(value: Any) -> bool:
+    try:
+        return bool((np.asarray(value, dtype=float) > 0).any())
+    except (TypeError, ValueError):  # text or an object: no word of success
+        return False

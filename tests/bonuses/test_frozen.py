@@ -1,0 +1,57 @@
+import pytest
+import torch
+
+from deep_curiosity.bonuses import BONUSES, BonusLearner, make_bonus
+from deep_curiosity.bonuses.frozen import FrozenBonus
+from deep_curiosity.transitions import Transition
+
+
+def batch(size=32):
+    flags = torch.zeros(size, dtype=torch.bool)
+    observation = torch.randn(size, 3)
+    action = torch.rand(size, 2) * 2 - 1
+    return Transition(
+        observation, action, torch.zeros(size), observation + torch.randn(size, 3), flags, flags
+    )
+
+
+def shown(name):
+    bonus = make_bonus(name, 3, 2, hidden_dims=(8,))
+    for _ in range(3):
+        bonus.observe(batch())
+    return bonus
+
+
+@pytest.mark.parametrize("name", BONUSES)
+def test_a_learner_leaves_it_as_it_was(name):
+    bonus = shown(name)
+    observation, action, _, next_observation, *_ = batch()
+    expected = bonus(observation, action, next_observation).detach()
+    frozen = FrozenBonus(bonus)
+    learner = BonusLearner(frozen)
+    before = {key: value.clone() for key, value in frozen.state_dict().items()}
+    for _ in range(50):
+        learner.learn(batch())
+    for key, value in frozen.state_dict().items():
+        torch.testing.assert_close(value, before[key], rtol=0, atol=0, equal_nan=True)
+    torch.testing.assert_close(frozen(observation, action, next_observation), expected)
+    assert frozen.ready and frozen.should_skip
+    assert frozen.scores_outcomes == bonus.scores_outcomes
+    assert frozen.metrics().keys() == bonus.metrics().keys()
+    assert not [each for each in frozen.parameters() if each.requires_grad]
+
+
+def test_the_gradient_in_the_action_is_the_bonus_own():
+    bonus = shown("curiosity")
+    observation, action, *_ = batch()
+    gradients = []
+    for each in (bonus, FrozenBonus(bonus)):
+        asked = action.clone().requires_grad_()
+        (gradient,) = torch.autograd.grad(each(observation, asked).sum(), asked)
+        gradients.append(gradient)
+    assert gradients[0].abs().max() > 0
+    torch.testing.assert_close(*gradients)
+
+
+def test_one_that_has_seen_nothing_is_not_ready():
+    assert not FrozenBonus(make_bonus("curiosity", 3, 2, hidden_dims=(8,))).ready

@@ -1,0 +1,130 @@
+import json
+import sys
+
+import numpy as np
+import pytest
+import torch
+
+import deep_curiosity as dc
+from deep_curiosity.training.windows import window_dim
+
+pytest.importorskip("safetensors")
+RNG = np.random.default_rng(0)
+OBSERVATIONS = RNG.normal(size=(5, 3)).astype(np.float32)
+HUNGER = np.array([0, 0.25, 0.5, 0.75, 1], np.float32)
+CONDITIONED = {"hunger": "conditioned:0.5", "policy_mixture_components": 2}
+RUNS = [{}, CONDITIONED, {"bonus": "none"}]
+
+
+def run_torch(path, inputs):
+    program = torch.export.load(path).module()
+    return program(**{name: torch.from_numpy(value) for name, value in inputs.items()}).numpy()
+
+
+def run_onnx(path, inputs):
+    onnxruntime = pytest.importorskip("onnxruntime")
+    (action,) = onnxruntime.InferenceSession(path).run(["action"], inputs)
+    return action
+
+
+RUNNERS = {".pt2": run_torch, ".onnx": run_onnx}
+
+
+@pytest.mark.parametrize(
+    ("suffix", "settings"),
+    [(".onnx", {}), (".onnx", CONDITIONED), *((".pt2", settings) for settings in RUNS)],
+)
+def test_a_file_gives_the_actions_of_the_policy(run_of, tmp_path, suffix, settings):
+    folder = run_of(**settings)
+    policy = dc.load(folder)
+    if suffix == ".onnx":
+        pytest.importorskip("onnxscript")
+    path = dc.export(folder, tmp_path / f"policy{suffix}")
+    given = {"hunger": HUNGER} if policy.is_conditioned else {}
+    expected, _ = policy.predict(OBSERVATIONS, **given)
+    inputs = {"observation": OBSERVATIONS}
+    if policy.is_conditioned:
+        inputs["hunger"] = HUNGER[:, None]
+    action = RUNNERS[suffix](path, inputs)
+    np.testing.assert_allclose(action, expected, rtol=0, atol=1e-6)
+    first = {name: value[:1] for name, value in inputs.items()}
+    np.testing.assert_allclose(RUNNERS[suffix](path, first), expected[:1], rtol=0, atol=1e-6)
+    assert np.ptp(expected, axis=0).min() > 1e-3
+
+
+def test_a_file_may_hold_the_curious_policy(run_of, tmp_path):
+    path = dc.export(run_of(), tmp_path / "policy.pt2", curious=True)
+    policy = dc.load(run_of())
+    action = run_torch(path, {"observation": OBSERVATIONS})
+    expected, _ = policy.predict(OBSERVATIONS, curious=True)
+    np.testing.assert_allclose(action, expected, rtol=0, atol=1e-6)
+    assert not np.allclose(action, policy.predict(OBSERVATIONS)[0], rtol=0, atol=1e-3)
+
+
+def test_a_file_takes_windows_where_frames_were_stacked(run_of, tmp_path):
+    folder = run_of(frame_stack=3)
+    path = dc.export(folder, tmp_path / "policy.pt2")
+    policy = dc.load(folder)
+    _, state = policy.predict(OBSERVATIONS)
+    expected, state = policy.predict(OBSERVATIONS + 0.1, state)
+    window, _ = state
+    assert window.shape == (5, window_dim(3, 2, 3))
+    action = run_torch(path, {"observation": window})
+    np.testing.assert_allclose(action, expected, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("settings", [*RUNS, {"frame_stack": 3}, {"bonus": "rnd"}])
+def test_a_folder_is_loaded_as_the_run_is(run_of, tmp_path, settings):
+    folder = run_of(**settings)
+    out = dc.export(folder, tmp_path / "policy")
+    original, copy = dc.load(folder), dc.load(out)
+    np.testing.assert_array_equal(original.predict(OBSERVATIONS)[0], copy.predict(OBSERVATIONS)[0])
+    if original.has_curious_policy:
+        curious = [each.predict(OBSERVATIONS, curious=True)[0] for each in (original, copy)]
+        np.testing.assert_array_equal(*curious)
+    if settings.get("bonus") != "none":
+        state = dc.load_bonus(folder).state_dict()
+        for name, value in dc.load_bonus(out).state_dict().items():
+            torch.testing.assert_close(value, state[name], rtol=0, atol=0, equal_nan=True)
+
+
+def test_the_model_goes_with_the_folder(run_of, tmp_path):
+    out = dc.export(run_of(), tmp_path / "policy")
+    action = [[1.0, 2.0]] * 5
+    predictions = [dc.load_model(each).predict(OBSERVATIONS, action) for each in (run_of(), out)]
+    for original, copy in zip(*predictions, strict=True):
+        np.testing.assert_array_equal(original, copy)
+
+
+def test_a_folder_says_nothing_of_where_it_was_made(run_of, tmp_path):
+    out = dc.export(run_of(), tmp_path / "policy")
+    values = json.loads((out / "config.json").read_text())
+    assert values["env_id"] == "trained/Slope-v0"
+    assert values.keys().isdisjoint({"out", "device", "init_from"})
+    again = dc.export(out, tmp_path / "again")
+    assert {path.name: path.read_bytes() for path in again.iterdir()} == {
+        path.name: path.read_bytes() for path in out.iterdir()
+    }
+
+
+def test_the_format_may_be_named(run_of, tmp_path):
+    path = dc.export(run_of(), tmp_path / "policy.bin", format="torch")
+    action = run_torch(path, {"observation": OBSERVATIONS})
+    np.testing.assert_allclose(action, dc.load(run_of()).predict(OBSERVATIONS)[0], atol=1e-6)
+
+
+def test_what_cannot_be_written_is_refused(run_of, tmp_path):
+    (tmp_path / "there").mkdir()
+    with pytest.raises(FileExistsError, match="`out` must not be there yet, got "):
+        dc.export(run_of(), tmp_path / "there")
+    for folder, out in ((run_of(bonus="none"), "policy.pt2"), (run_of(), "policy")):
+        with pytest.raises(ValueError, match="`curious` must be False for a run with one policy"):
+            dc.export(folder, tmp_path / out, curious=True)
+    assert not (tmp_path / "policy").exists()
+
+
+@pytest.mark.parametrize(("package", "out"), [("onnx", "policy.onnx"), ("safetensors", "policy")])
+def test_what_is_missing_is_named(run_of, tmp_path, monkeypatch, package, out):
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(ImportError, match=rf"{package} .*pip install 'deep-curiosity\[export\]'"):
+        dc.export(run_of(), tmp_path / out)

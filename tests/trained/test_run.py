@@ -1,0 +1,64 @@
+import json
+
+import numpy as np
+import pytest
+
+import deep_curiosity as dc
+from deep_curiosity.training.log import read_config, read_progress
+from tests.trained.conftest import TASK
+
+TINY = {
+    "total_steps": 40,
+    "learning_starts": 20,
+    "hidden_dim": 16,
+    "batch_size": 16,
+    "components": 16,
+    "num_members": 2,
+    "log_interval": 20,
+    "evaluation_episodes": 1,
+    "matmul_precision": "highest",
+    "show_progress": False,
+}
+
+
+def test_a_run_in_one_call(tmp_path):
+    run = dc.train(env=TASK, out=tmp_path / "run", seed=3, **TINY)
+    assert run.folder == tmp_path / "run"
+    assert run.summary == json.loads((run.folder / "summary.json").read_text())
+    config = read_config(run.folder)
+    assert (config.run.seed, config.environment.env_id) == (3, TASK)
+    observation = np.array([0.1, 0.2, 0.3])
+    action, _ = run.policy.predict(observation)
+    np.testing.assert_array_equal(action, dc.load(run.folder).predict(observation)[0])
+    assert run.model.predict(observation, action).mean.shape == (3,)
+    assert run.bonus.ready
+
+
+def test_a_run_goes_on(tmp_path):
+    dc.train(TASK, out=tmp_path / "run", **TINY)
+    run = dc.continue_run(tmp_path / "run", total_steps=60, show_progress=False)
+    assert run.summary["total_steps"] == 60
+    assert run.policy.predict(np.zeros(3))[0].shape == (2,)
+
+
+@pytest.mark.parametrize("hunger", [0.5, "conditioned:0.5", "linear:1:10"])
+def test_hunger_is_a_setting(tmp_path, hunger):
+    run = dc.train(TASK, out=tmp_path / "run", hunger=hunger, **TINY)
+    assert read_config(run.folder).agent.hunger == dc.Config.of(hunger=hunger).agent.hunger
+
+
+def test_hunger_is_a_function(tmp_path):
+    run = dc.train(TASK, out=tmp_path / "run", hunger=lambda observation, info: 0.25, **TINY)
+    assert read_config(run.folder).agent.hunger == 1.0
+    assert {float(row["agent/hunger"]) for row in read_progress(run.folder)} == {0.25}
+
+
+def test_hunger_may_be_a_schedule(tmp_path):
+    schedule = dc.Config.of(hunger="linear:1:10").agent.hunger
+    run = dc.train(TASK, out=tmp_path / "run", hunger=schedule, **TINY)
+    assert read_config(run.folder).agent.hunger == schedule
+
+
+def test_a_setting_that_is_none_is_named(tmp_path):
+    with pytest.raises(TypeError, match="`bonus_wait` is no setting here"):
+        dc.train(TASK, out=tmp_path / "run", bonus_wait=1)

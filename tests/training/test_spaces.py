@@ -1,0 +1,94 @@
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium import spaces
+
+from deep_curiosity.training.config import EnvironmentConfig
+from deep_curiosity.training.environments import make_environment, task_spaces
+from deep_curiosity.training.spaces import Entry, TaskSpaces, read_spaces, write_spaces
+
+REACH = TaskSpaces(
+    5,
+    (-2.0, 0.0),
+    (2.0, 3.0),
+    "float64",
+    (Entry(("goal",), (2,)), Entry(("robot", "angle"), ()), Entry(("robot", "place"), (1, 2))),
+)
+OBSERVATION = {"robot": {"place": [[3, 4]], "angle": 0.5}, "goal": np.array([1, 2])}
+
+
+def test_actions_go_to_the_units_of_the_task_and_back():
+    action = np.array([[-1, -1], [0, 0], [1, 1], [0.5, -0.5]], np.float32)
+    scaled = REACH.to_task(action)
+    assert scaled.tolist() == [[-2, 0], [0, 1.5], [2, 3], [1, 0.75]]
+    assert scaled.dtype == np.float64
+    np.testing.assert_allclose(REACH.from_task(scaled), action)
+    assert REACH.to_task(np.array([2.0, -2.0])).tolist() == [2, 0]
+    assert REACH.from_task([9, -9]).tolist() == [1, -1]
+
+
+def test_they_are_read_as_they_were_written(tmp_path):
+    assert read_spaces(tmp_path) is None
+    write_spaces(tmp_path, REACH)
+    assert read_spaces(tmp_path) == REACH
+
+
+def test_dictionaries_become_vectors_as_gymnasium_flattens_them():
+    space = spaces.Dict(
+        {
+            "robot": spaces.Dict(
+                {"place": spaces.Box(-9, 9, (1, 2)), "angle": spaces.Box(-9, 9, ())}
+            ),
+            "goal": spaces.Box(-9, 9, (2,)),
+        }
+    )
+    converted = {
+        "robot": {name: np.array(value) for name, value in OBSERVATION["robot"].items()},
+        "goal": OBSERVATION["goal"],
+    }
+    expected = spaces.flatten(space, converted)
+    assert REACH.to_vector(OBSERVATION).tolist() == expected.tolist() == [1, 2, 0.5, 3, 4]
+
+
+def test_a_batch_of_dictionaries_is_a_batch_of_vectors():
+    observation = {
+        "robot": {"place": np.ones((7, 1, 2)), "angle": np.arange(7)},
+        "goal": np.zeros((7, 2)),
+    }
+    vector = REACH.to_vector(observation)
+    assert vector.shape == (7, 5)
+    assert vector[3].tolist() == [0, 0, 3, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("observation", "message"),
+    [
+        ({"robot": {"place": [[3, 4]]}, "goal": [1, 2]}, r"the entry 'robot\.angle', got \['goal"),
+        ({"robot": OBSERVATION["robot"]}, r"must have the entry 'goal', got \['robot'\]"),
+        (OBSERVATION | {"goal": [1, 2, 3]}, r"the shape \(2,\) in its entry 'goal', got \(3,\)"),
+    ],
+)
+def test_what_an_observation_lacks_is_named(observation, message):
+    with pytest.raises(ValueError, match=message):
+        REACH.to_vector(observation)
+
+
+@pytest.mark.parametrize("frame_stack", [1, 2])
+def test_those_of_a_task_are_below_its_wrappers(frame_stack):
+    environment = make_environment(EnvironmentConfig("Pendulum-v1", frame_stack=frame_stack))
+    assert task_spaces(environment) == TaskSpaces(3, (-2.0,), (2.0,), "float32")
+    environment.close()
+
+
+def test_entries_of_a_dictionary_are_written_down():
+    pytest.importorskip("shimmy")
+    environment = make_environment(EnvironmentConfig("dm_control/pendulum-swingup-v0"))
+    found = task_spaces(environment)
+    assert [entry.path for entry in found.entries] == [("orientation",), ("velocity",)]
+    inner = environment
+    while not isinstance(inner, gymnasium.wrappers.FlattenObservation):
+        inner = inner.env
+    observation, _ = inner.env.reset(seed=0)
+    vector, _ = environment.reset(seed=0)
+    np.testing.assert_allclose(found.to_vector(observation), vector)
+    environment.close()

@@ -1,0 +1,132 @@
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium import spaces
+
+from deep_curiosity.training.wrappers import PlainSteps, VectorObservation, real_dtype
+
+ACTION = np.zeros(1, np.float32)
+
+
+class Says(gymnasium.Env):
+    """Returns from `step` and `reset` what it was given."""
+
+    action_space = spaces.Box(-1.0, 1.0, (1,))
+
+    def __init__(self, returned=None, *, start=(None, {}), space=None):
+        self.returned, self.start = returned, start
+        self.observation_space = space or spaces.Box(-1.0, 1.0, (1,))
+
+    def reset(self, *, seed=None, options=None):
+        return self.start
+
+    def step(self, action):
+        return self.returned
+
+
+def step(*, reward=0.0, terminated=False, truncated=False, info=None, **settings):
+    returned = np.zeros(1, np.float32), reward, terminated, truncated, info or {}
+    return PlainSteps(Says(returned), **settings).step(ACTION)
+
+
+@pytest.mark.parametrize(
+    "reward",
+    [2, 2.0, np.float32(2), np.array([2.0]), np.array(2), np.array([[2]], np.uint8), [2.0]],
+    ids=repr,
+)
+def test_a_reward_is_one_number_in_whatever_form(reward):
+    given = step(reward=reward)[1]
+    assert type(given) is float and given == 2.0
+
+
+@pytest.mark.parametrize("flag", [True, np.True_, np.array([True]), np.array([1.0]), 1], ids=repr)
+def test_a_flag_is_one_in_whatever_form(flag):
+    assert step(terminated=flag)[2:4] == (True, False)
+    assert step(truncated=flag)[2:4] == (False, True)
+    assert all(type(value) is bool for value in step(terminated=flag, truncated=flag)[2:4])
+
+
+@pytest.mark.parametrize("name", ["reward", "terminated", "truncated"])
+@pytest.mark.parametrize("value", [None, "1", [1.0, 2.0], np.zeros(0), {}], ids=repr)
+def test_what_is_no_number_is_named(name, value):
+    with pytest.raises(ValueError, match=rf"`{name}` must be one number, got "):
+        step(**{name: value})
+
+
+@pytest.mark.parametrize(
+    ("returned", "got"),
+    [((0, 1.0, False, {}), "4 values"), ((0, 1.0), "2 values"), (None, "NoneType")],
+)
+def test_a_step_of_another_length_is_named(returned, got):
+    with pytest.raises(ValueError, match=rf"`step` .* must return \(observation, .*got {got}"):
+        PlainSteps(Says(returned)).step(ACTION)
+
+
+def test_a_reset_without_an_info_is_named():
+    with pytest.raises(
+        ValueError, match=r"`reset` .* must return \(observation, info\).* ndarray"
+    ):
+        PlainSteps(Says(start=np.zeros(1))).reset()
+    with pytest.raises(ValueError, match=r"`info` must be a dictionary, got \[\]"):
+        PlainSteps(Says(start=(np.zeros(1), []))).reset()
+
+
+@pytest.mark.parametrize("name", ["is_success", "success"])
+@pytest.mark.parametrize(
+    ("value", "succeeded"),
+    [
+        *[(value, True) for value in (True, 1.0, np.array([True]), np.float32(1), [1])],
+        *[(value, False) for value in (False, 0.0, np.array([0.0]), None, np.nan, "no")],
+    ],
+    ids=repr,
+)
+def test_success_has_one_name_and_one_form(name, value, succeeded):
+    assert step(info={name: value})[4]["is_success"] is succeeded
+
+
+def test_of_two_words_of_success_one_is_enough_and_silence_stays_silence():
+    assert step(info={"is_success": False, "success": 1.0})[4]["is_success"] is True
+    assert "is_success" not in step(info={"successes": 3})[4]
+
+
+def test_the_info_of_the_task_is_left_as_it_is():
+    info = {"success": True}
+    step(info=info)
+    assert info == {"success": True}
+
+
+def test_an_episode_ends_at_success_if_that_is_wanted():
+    for succeeded in (True, False):
+        info = {"success": succeeded}
+        assert step(info=info, terminate_on_success=True)[2] is succeeded
+        assert step(info=info)[2] is False
+    assert step(terminate_on_success=True)[2] is False
+
+
+def test_an_observation_is_a_new_vector_of_real_numbers():
+    mine = np.array([3, 255], np.uint8)
+    env = VectorObservation(
+        Says(
+            (mine, 0.0, False, False, {}),
+            start=(mine, {}),
+            space=spaces.Box(0, 255, (2,), np.uint8),
+        )
+    )
+    first, second = env.reset()[0], env.step(ACTION)[0]
+    mine[:] = 0
+    assert first.dtype == second.dtype == env.observation_space.dtype == np.float32
+    assert first.tolist() == second.tolist() == [3.0, 255.0]
+    assert env.observation_space.high.tolist() == [255.0, 255.0]
+
+
+def test_an_observation_of_another_shape_is_named():
+    env = VectorObservation(Says(start=(np.zeros((1, 1)), {})))
+    with pytest.raises(ValueError, match=r"`observation` must have the shape \(1,\).*\(1, 1\)"):
+        env.reset()
+
+
+def test_precision_is_kept_and_whole_numbers_are_single():
+    assert real_dtype(np.float64) is np.float64
+    assert {real_dtype(kind) for kind in (np.float16, np.float32, np.int64, np.uint8)} == {
+        np.float32
+    }
