@@ -166,6 +166,9 @@ def mlp(*sizes: int) -> nn.Sequential:
 def make_environment(env_id: str) -> gymnasium.Env:
     """Environment that takes actions in [-1, 1] and reports the return of its episodes."""
     environment = gymnasium.make(env_id)
+    environment = gymnasium.wrappers.TransformObservation(
+        environment, np.array, environment.observation_space
+    )  # copies, since a task may change the array that it returned
     low, high = np.array([-1.0, 1.0], environment.action_space.dtype)
     return RecordEpisodeStatistics(RescaleAction(environment, low, high))
 

@@ -66,6 +66,9 @@ class Args:
 def make_environment(env_id: str) -> GymWrapper:
     """Environment that takes actions in [-1, 1]."""
     environment = gymnasium.make(env_id)
+    environment = gymnasium.wrappers.TransformObservation(
+        environment, np.array, environment.observation_space
+    )  # copies, since a task may change the array that it returned
     low, high = np.array([-1.0, 1.0], environment.action_space.dtype)
     return GymWrapper(gymnasium.wrappers.RescaleAction(environment, low, high))
 

@@ -204,6 +204,7 @@ class Collector:
         Raises:
             RuntimeError: If an environment does not come back to the same observation.
         """
+        state = self._without_cuts(state["observation"]) | state
         number, length = state["number"].numpy(), state["length"].numpy()
         oldest = len(state["actions"])
         self._is_restoring = True
@@ -218,6 +219,15 @@ class Collector:
         self.observation = state["observation"].numpy()
         self._usual_observation.size = state["usual_observation"].numpy()
         self._usual_reward.size = state["usual_reward"].numpy()
+
+    def _without_cuts(self, observation: Tensor) -> dict[str, Any]:
+        """What a checkpoint does not say that is older than the cuts."""
+        return {
+            "raw_observation": observation,
+            "usual_observation": torch.tensor(self._usual_observation.floor),
+            "usual_reward": torch.tensor(self._usual_reward.floor),
+            "num_broken_in_row": 0,
+        }
 
     def _start(self, mask: np.ndarray, number: np.ndarray | None = None) -> None:
         """Begin episodes where the mask is, the next ones unless their numbers are given."""

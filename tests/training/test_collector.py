@@ -355,3 +355,14 @@ def test_success_that_is_told_at_a_success_alone_is_unknown_in_the_others():
     collector = Collector(SyncVectorEnv(makers, autoreset_mode=AutoresetMode.DISABLED), seed=0)
     finished = vector_steps(collector, 2)[-1][1]
     assert finished[0].success == 1.0 and math.isnan(finished[1].success)
+
+
+def test_a_state_that_is_older_than_the_cuts_is_taken():
+    collector = Collector(Counter(truncate_at=5), seed=0)
+    steps(collector, 8)
+    old = {"num_episodes", "number", "length", "actions", "observation"}
+    state = {name: value for name, value in collector.state_dict().items() if name in old}
+    restored = Collector(Counter(truncate_at=5), seed=0)
+    restored.load_state_dict(state)
+    assert np.array_equal(collector.observation, restored.observation)
+    assert np.array_equal(steps(collector, 1)[0][0].reward, steps(restored, 1)[0][0].reward)

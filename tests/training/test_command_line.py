@@ -1,3 +1,4 @@
+import json
 import re
 from pathlib import Path
 
@@ -202,3 +203,32 @@ def test_a_continued_run_is_refused_other_settings_by_name(run, arguments, messa
 def test_a_folder_without_a_run_is_named():
     with pytest.raises(FileNotFoundError, match=r"a run must have a config.json, got no/such"):
         read("--resume", Path("no/such"))
+
+
+def test_arguments_of_the_environment_are_numbers_words_and_truths():
+    words = ("a", 50, "b", 0.5, "c", "word", "d", "True", "e", "false", "f", -3, "g", "None")
+    values = {"a": 50, "b": 0.5, "c": "word", "d": True, "e": False, "f": -3, "g": None}
+    config = read("--env-kwargs", *words)
+    assert config.environment.env_kwargs == values
+    kinds = [type(value) for value in config.environment.env_kwargs.values()]
+    assert kinds == [int, float, str, bool, bool, int, type(None)]
+    assert Config.from_json(json.loads(json.dumps(config.to_json()))) == config
+
+
+def test_a_limit_of_episodes_is_set_in_either_way():
+    for words in (("--max-episode-steps", 50), ("--env-kwargs", "max_episode_steps", 50)):
+        environment = read(*words).environment
+        assert (environment.max_episode_steps, environment.env_kwargs) == (50, {})
+    with pytest.raises(ValueError, match=r"`max_episode_steps` must be given once, got 3 and 50"):
+        read("--max-episode-steps", 3, "--env-kwargs", "max_episode_steps", 50)
+    with pytest.raises(ValueError, match=r"`max_episode_steps` must be at least 1, got -1"):
+        read("--env-kwargs", "max_episode_steps", -1)
+    with pytest.raises(TypeError, match=r"`max_episode_steps` must be int or None, got 'long'"):
+        read("--env-kwargs", "max_episode_steps", "long")
+
+
+def test_what_is_shown_and_what_ends_an_episode_are_set():
+    config = read("--observation-keys", "observation", "goal", "--terminate-on-success")
+    assert config.environment.observation_keys == ("observation", "goal")
+    assert config.environment.terminate_on_success
+    assert Config.from_json(json.loads(json.dumps(config.to_json()))) == config

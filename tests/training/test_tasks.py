@@ -64,7 +64,7 @@ class Spiked(Mass):
 @pytest.fixture
 def small(tiny):
     return tiny.override(
-        env_id="make_env", env_kwargs={}, max_episode_steps=10, total_steps=200, num_envs=1
+        env_id="make_env", env_kwargs={}, max_episode_steps=10, total_steps=100, num_envs=1
     )
 
 
@@ -72,20 +72,19 @@ BREAKS = pytest.mark.filterwarnings("ignore:`observation` and `reward` must be f
 
 
 @BREAKS
-@pytest.mark.parametrize("num_envs", [1, 3])
-@pytest.mark.parametrize("reward_steps", [1, 3])
+@pytest.mark.parametrize(("num_envs", "reward_steps"), [(1, 1), (3, 3)])
 def test_a_run_goes_on_where_its_simulator_breaks_and_resumes_to_the_bit(
     small, tmp_path, num_envs, reward_steps
 ):
     config = small.override(num_envs=num_envs, reward_steps=reward_steps)
     summary = train(config, make_env=Unsteady, show_progress=False)
-    assert summary["total_steps"] >= 200 and summary["broken_episodes"] > 0
+    assert summary["total_steps"] >= 100 and summary["broken_episodes"] > 0
     assert float(read_progress(config.run.out)[-1]["episode/broken"]) == summary["broken_episodes"]
     replay = load_checkpoint(config.run.out)["learner"]["replay"]["rows"]
     assert torch.isfinite(replay).all()
-    part = config.override(out=tmp_path / "part", total_steps=90)
+    part = config.override(out=tmp_path / "part", total_steps=50)
     train(part, make_env=Unsteady, show_progress=False)
-    continue_run(part.run.out, total_steps=200, make_env=Unsteady, show_progress=False)
+    continue_run(part.run.out, total_steps=100, make_env=Unsteady, show_progress=False)
     whole, resumed = (load_checkpoint(each.run.out) for each in (config, part))
     assert replay.equal(resumed["learner"]["replay"]["rows"])
     for name, value in whole["learner"]["agent"].items():
