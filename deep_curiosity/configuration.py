@@ -6,22 +6,28 @@ speak of settings by these names alone.
 """
 
 import dataclasses
+import difflib
 import math
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin
 
 Nest = TypeVar("Nest", bound="Group")
+MOST_STEPS = 10**12  # longer than a year at thirty thousand steps a second
+MOST_SEED = 2**32 - 1  # what NumPy, torch and the tasks all take
+LEAST_LEARNING_RATE = 1e-9  # Adam moves a weight by it, and float32 would round less away
+MOST_BY_DEFAULT = 10**6  # of a count, where no setting says otherwise
 
 
 class Group:
     """Base of the dataclasses that make up a configuration: every value is checked and coerced.
 
-    Whole numbers must be at least 1 and others finite, unless `setting(...)` says otherwise.
+    Whole numbers must be from 1 to a million and others finite, unless `setting(...)` says
+    otherwise; numbers in lists and mappings are held to its range alone.
 
     Raises:
         TypeError: If a value has the wrong type.
@@ -35,7 +41,7 @@ class Group:
         for field in fields(self):
             name = field.metadata.get("name", field.name)
             value = coerce(name, hints[field.name], getattr(self, field.name))
-            _check_range(name, value, field.metadata)
+            _check_value(name, value, field.metadata)
             object.__setattr__(self, field.name, value)
 
 
@@ -92,12 +98,20 @@ def override(config: Nest, **values: Any) -> Nest:
     known = flat(config)
     for name in values:
         if name not in known:
-            raise TypeError(f"`{name}` is no setting here; there are {', '.join(known)}.")
+            raise unknown_setting(name, known)
     by_path = {
         known[name].path: coerce(name, known[name].annotation, value)
         for name, value in values.items()
     }
     return _replaced(config, by_path)
+
+
+def unknown_setting(name: str, known: Iterable[str]) -> TypeError:
+    """The error about a name that is none, with those that are meant or could have been."""
+    known = list(known)
+    near = difflib.get_close_matches(name, known)
+    nearest = f", the nearest is {', '.join(near)}" if near else ""
+    return TypeError(f"`{name}` is no setting here{nearest}; there are {', '.join(known)}.")
 
 
 def changes(config: Group, default: Group) -> dict[str, Any]:
@@ -197,12 +211,21 @@ def _convert(option: Any, value: Any) -> Any:
         converted = {key: _as(args[1], entry) for key, entry in value.items()}
         return None if None in converted.values() else converted
     if option is float and isinstance(value, int) and not isinstance(value, bool):
-        return float(value)
+        return _as_float(value)
     if option is Path and isinstance(value, str):
+        if not value:
+            raise ValueError("a path must have characters, got ''.")
         return Path(value)
     if isinstance(value, str) and hasattr(option, "parse"):
         return option.parse(value)
     return None
+
+
+def _as_float(value: int) -> float:
+    try:
+        return float(value)
+    except OverflowError:
+        return math.inf if value > 0 else -math.inf  # which no range takes
 
 
 def _as(option: Any, value: Any) -> Any:
@@ -224,22 +247,43 @@ def _shown(options: tuple[Any, ...]) -> str:
     return ", ".join(words[:-1]) + (" or " if len(words) > 1 else "") + words[-1]
 
 
-def _check_range(name: str, value: Any, bounds: Mapping[str, Any]) -> None:
-    """Reject numbers out of range."""
+def _check_value(name: str, value: Any, bounds: Mapping[str, Any]) -> None:
+    """Reject numbers out of range, wherever they stand, and text that names nothing."""
+    if isinstance(value, str | Path):
+        if not str(value) or "\0" in str(value):
+            raise ValueError(f"`{name}` must have characters, and no NUL, got {str(value)!r}.")
+    elif isinstance(value, tuple | dict):
+        for entry in value.values() if isinstance(value, dict) else value:
+            check_range(name, entry, {"at_least": None, "at_most": None} | dict(bounds))
+    else:
+        check_range(name, value, bounds)
+
+
+def check_range(name: str, value: Any, bounds: Mapping[str, Any]) -> None:
+    """Reject numbers out of range.
+
+    Args:
+        name: Of the setting.
+        value: Anything; what is no number has no range.
+        bounds: As in `setting`.
+
+    Raises:
+        ValueError: Naming the setting, the bound and the number.
+    """
     if isinstance(value, bool) or not isinstance(value, int | float):
         return
-    if not math.isfinite(value):
+    is_count = isinstance(value, int)
+    if not (is_count or math.isfinite(value)):
         raise ValueError(f"`{name}` must be finite, got {value}.")
-    at_least = bounds.get(
-        "at_least", 1 if isinstance(value, int) and "above" not in bounds else None
-    )
-    if at_least is not None and value < at_least:
-        rule = "not be negative" if at_least == 0 else f"be at least {at_least}"
-        raise ValueError(f"`{name}` must {rule}, got {value}.")
+    at_least = bounds.get("at_least", 1 if is_count and "above" not in bounds else None)
+    at_most = bounds.get("at_most", MOST_BY_DEFAULT if is_count else None)
     if "above" in bounds and value <= bounds["above"]:
         rule = "positive" if bounds["above"] == 0 else f"above {bounds['above']}"
         raise ValueError(f"`{name}` must be {rule}, got {value}.")
-    if "at_most" in bounds and value > bounds["at_most"]:
-        raise ValueError(f"`{name}` must be at most {bounds['at_most']}, got {value}.")
+    if at_least is not None and value < at_least:
+        rule = "not be negative" if at_least == 0 else f"be at least {at_least}"
+        raise ValueError(f"`{name}` must {rule}, got {value}.")
+    if at_most is not None and value > at_most:
+        raise ValueError(f"`{name}` must be at most {at_most}, got {value}.")
     if "below" in bounds and value >= bounds["below"]:
         raise ValueError(f"`{name}` must be below {bounds['below']}, got {value}.")

@@ -6,12 +6,13 @@ Everything runs on one thread. What is compared is measured alternately within o
 import shlex
 import sys
 
-import tyro
-
+from deep_curiosity.arguments import read_arguments
 from deep_curiosity.benchmark.run import run_benchmark
 from deep_curiosity.benchmark.sections import Benchmark
+from deep_curiosity.cli import answering
 
 if __name__ == "__main__":
-    benchmark = tyro.cli(Benchmark, description=__doc__)
-    command = ["python", "scripts/benchmark.py", *map(shlex.quote, sys.argv[1:])]
-    run_benchmark(benchmark, " ".join(command))
+    with answering():
+        benchmark = read_arguments(Benchmark, description=__doc__)
+        command = ["python", "scripts/benchmark.py", *map(shlex.quote, sys.argv[1:])]
+        run_benchmark(benchmark, " ".join(command))

@@ -12,7 +12,16 @@ from deep_curiosity.bonuses import BONUSES, Bonus
 
 ROOT = Path(deep_curiosity.__file__).parent
 LAYERS = (
-    ("requirements", "configuration", "schedules", "transitions", "gaussians", "losses", "nn"),
+    (
+        "requirements",
+        "arguments",
+        "configuration",
+        "schedules",
+        "transitions",
+        "gaussians",
+        "losses",
+        "nn",
+    ),
     ("replay",),
     ("speed",),
     ("bonuses",),

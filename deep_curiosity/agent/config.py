@@ -1,13 +1,24 @@
 """Settings of the agent: one set of defaults, for the class and for the trainer."""
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Literal, get_args
 
-from deep_curiosity.configuration import Group, setting
+from deep_curiosity.configuration import (
+    LEAST_LEARNING_RATE,
+    MOST_STEPS,
+    Group,
+    check_range,
+    setting,
+)
 from deep_curiosity.schedules import Schedule
 
 DEFAULT_GREEDY_SHARE = 0.25
+TEMPERATURES = (
+    1e-10,
+    1e10,
+)  # beyond which a tuned one does not go, so that float32 holds its terms
+MOST_HUNGER = 1e6  # of which float32 still resolves a curiosity value beside it
 
 HungerSource = Literal["fixed", "random", "bandit", "battery"]
 
@@ -80,7 +91,7 @@ class RewardValueConfig(Group):
 
     discount: float = setting(0.99, at_least=0, below=1)
     """Discount of the reward per step."""
-    reward_steps: int = 3
+    reward_steps: int = setting(3, at_most=1_000)
     """Steps of reward that are summed before the value is trusted. With `soft_backup` only the
     information cost after the last of them is charged."""
     soft_backup: bool | None = None
@@ -96,7 +107,7 @@ class CuriosityValueConfig(Group):
     discount: float = setting(0.97, name="curiosity_discount", at_least=0, below=1)
     """Discount of the bonus per step; with 0 the policy maximises the bonus itself, as the paper
     writes it, differentiated through the model, and no critic learns it."""
-    steps: int = setting(1, name="curiosity_steps")
+    steps: int = setting(1, name="curiosity_steps", at_most=1_000)
     """Steps of bonus that are summed before the value is trusted."""
     estimate: Literal["min", "mean"] = setting("mean", name="curiosity_estimate")
     """Of the two estimates of the value at a next state: the smaller, or their mean, since what is
@@ -105,7 +116,7 @@ class CuriosityValueConfig(Group):
     """End the value where the episode terminates; otherwise it goes on from where the next episode
     begins, as in Burda et al. (2018)."""
     coefficient: float | Literal["adaptive"] = setting(
-        "adaptive", name="curiosity_coefficient", at_least=0
+        "adaptive", name="curiosity_coefficient", at_least=0, at_most=MOST_HUNGER
     )
     """Weight of the value in the policy's objective: a number; or adaptive, the ratio of the
     standard deviations of Q_D and hunger times Q over replay, at most 1, so that curiosity fades
@@ -114,7 +125,7 @@ class CuriosityValueConfig(Group):
     """Share of the steps at which a second policy acts that maximises the reward's value alone;
     the value is then about this one, and it acts in evaluations. By default a quarter; 0, and the
     value is about the curious policy, where the agent is conditioned on its hunger."""
-    ends: int | None = setting(None, name="curiosity_ends")
+    ends: int | None = setting(None, name="curiosity_ends", at_most=MOST_STEPS)
     """Environment step from which only reward counts; by default none."""
 
 
@@ -122,33 +133,35 @@ class CuriosityValueConfig(Group):
 class AgentConfig(Group):
     """The agent."""
 
-    hidden_dim: int = 256
+    hidden_dim: int = setting(256, at_most=2**14)
     """Width of the two hidden layers of policy, critics and models."""
     prior: Literal["uniform", "learned"] = "uniform"
     """Action prior: flat as in soft actor-critic, or the learned action marginal."""
-    hunger: float | Schedule | ConditionedHunger = setting(1.0, at_least=0)
+    hunger: float | Schedule | ConditionedHunger = setting(1.0, at_least=0, at_most=MOST_HUNGER)
     """Weight of the reward's value, alpha: a number; a schedule such as linear:1:10; or random,
     bandit, battery or conditioned:0.5, where policy and critics are given the hunger and learn
     every hunger from 0 to 1 at once."""
-    temperature: float | Schedule = setting(0.02, above=0)
+    temperature: float | Schedule = setting(
+        0.02, above=0, at_least=TEMPERATURES[0], at_most=TEMPERATURES[1]
+    )
     """Price of a nat, lambda: a number is where it starts, from which it is tuned to hold the
     target information rate; constant:0.02 stays; linear:0.02:0.002, exponential:... or
     plateaus:... go with time."""
-    target_information_rate: float | None = setting(None, above=-math.inf)
+    target_information_rate: float | None = setting(None, above=0)
     """Nats per action by which the policy may differ from the prior; by default 1.69 (uniform) or
     1 (learned) for each action dimension."""
-    learning_rate: float = setting(1e-3, above=0)
+    learning_rate: float = setting(1e-3, above=0, at_least=LEAST_LEARNING_RATE, at_most=1)
     """Learning rate of policy, critics, prior and temperature."""
-    polyak: float = setting(0.02, above=0, at_most=1)
+    polyak: float = setting(0.02, above=0, at_least=1e-6, at_most=1)
     """Share of the critics that moves into the target critics at each update."""
     critic_layer_norm: bool = False
     """Normalise every hidden layer of the critics, which bounds what they extrapolate."""
-    mixture_components: int = setting(1, name="policy_mixture_components")
+    mixture_components: int = setting(1, name="policy_mixture_components", at_most=100)
     """Gaussians that make up the policy; an optimum with two peaks needs two."""
     actor_q: Literal["alternate", "min"] = "alternate"
     """What the policy maximises at each transition: one critic of each pair, in round-robin order,
     or the smaller of both. Critics learn from the smaller either way."""
-    actor_batch_fraction: float = setting(0.5, above=0, at_most=1)
+    actor_batch_fraction: float = setting(0.5, above=0, at_least=1e-4, at_most=1)
     """Share of a batch from which policy, prior and temperature learn, one over a whole number;
     critics and models learn from all of it."""
     reward: RewardValueConfig = field(default_factory=RewardValueConfig)
@@ -157,6 +170,7 @@ class AgentConfig(Group):
     def __post_init__(self) -> None:
         """Refuse what cannot be, or would do nothing."""
         super().__post_init__()
+        self._check_schedules()
         if not math.isclose(1 / self.actor_stride, self.actor_batch_fraction):
             raise ValueError(
                 "`actor_batch_fraction` must be one over a whole number, "
@@ -177,14 +191,25 @@ class AgentConfig(Group):
                 "`greedy_share` must be left out or 0 where conditioned on hunger, "
                 f"got {self.curiosity.greedy_share}."
             )
-        default = CuriosityValueConfig.steps
-        if self.curiosity.discount == 0 and not (
-            self.curiosity.steps in (1, default) and self.curiosity.episodic
-        ):
-            raise ValueError(
-                "`curiosity_discount` must be above 0 where `curiosity_steps` or "
-                "`curiosity_episodic` is set, got 0."
-            )
+        if self.curiosity.discount == 0:
+            self._refuse_settings_of_curiosity_value()
+
+    def _check_schedules(self) -> None:
+        """Hold the ends of a schedule to the range of a number in its place."""
+        for own in fields(self):
+            value = getattr(self, own.name)
+            if isinstance(value, Schedule):
+                for end in (value.first, value.last):
+                    check_range(own.name, end, own.metadata)
+
+    def _refuse_settings_of_curiosity_value(self) -> None:
+        """Refuse what is about the value of the bonus where none is learned."""
+        for name in ("steps", "episodic", "estimate"):
+            default = getattr(CuriosityValueConfig, name)
+            if getattr(self.curiosity, name) != default:
+                raise ValueError(
+                    f"`curiosity_discount` must be above 0 where `curiosity_{name}` is set, got 0."
+                )
 
     @property
     def is_conditioned(self) -> bool:

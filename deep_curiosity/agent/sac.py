@@ -10,7 +10,12 @@ from jaxtyping import Float
 from torch import Tensor, nn
 
 from deep_curiosity.agent.action_information import action_information
-from deep_curiosity.agent.config import AgentConfig, ConditionedHunger
+from deep_curiosity.agent.config import (
+    MOST_HUNGER,
+    TEMPERATURES,
+    AgentConfig,
+    ConditionedHunger,
+)
 from deep_curiosity.agent.networks import PRIORS, Critics, GaussianPolicy
 from deep_curiosity.configuration import override
 from deep_curiosity.losses import (
@@ -26,6 +31,8 @@ from deep_curiosity.schedules import Schedule
 from deep_curiosity.transitions import Sequences, Transition, as_sequences, check_batch
 
 STD_DECAY = 0.99  # of the running standard deviations of the values, for each update
+LOG_TEMPERATURES = math.log(TEMPERATURES[0]), math.log(TEMPERATURES[1])
+MOST_NATS = 10.0  # of an action dimension; the narrowest policy has 4.3 in the middle of the box
 ADAPTIVE = -1.0  # in the place of a fixed coefficient, which is never negative
 PARITY_FLOOR = 1e-3  # of their ratio: a conditioned agent lifts curiosity by at most a thousand
 
@@ -117,6 +124,7 @@ class CuriousSAC(nn.Module):
         self.soft_backup = by_default if soft_backup is None else soft_backup
         default_rate = self.prior.default_rate * action_dim
         self.target_information_rate = default_rate if rate is None else rate
+        check_rate(self.target_information_rate, action_dim)
         self._register_state(discounts)
         self.optimizers = nn.ModuleDict(  # type: ignore[assignment]  # of Adams
             {
@@ -186,7 +194,7 @@ class CuriousSAC(nn.Module):
 
     @hunger.setter
     def hunger(self, value: float) -> None:
-        check_positive("hunger", value, or_zero=True)
+        check_positive("hunger", value, or_zero=True, at_most=MOST_HUNGER)
         if self.is_conditioned and value > 1:
             raise ValueError(f"`hunger` must lie in [0, 1] where conditioned, got {value}.")
         self._hunger.fill_(value)
@@ -201,7 +209,7 @@ class CuriousSAC(nn.Module):
 
     @curiosity_coefficient.setter
     def curiosity_coefficient(self, value: float) -> None:
-        check_positive("curiosity_coefficient", value, or_zero=True)
+        check_positive("curiosity_coefficient", value, or_zero=True, at_most=MOST_HUNGER)
         self._fixed_coefficient.fill_(value)
 
     @property
@@ -214,7 +222,9 @@ class CuriousSAC(nn.Module):
 
     @temperature.setter
     def temperature(self, value: float) -> None:
-        check_positive("temperature", value)
+        check_positive("temperature", value, at_most=TEMPERATURES[1])
+        if value < TEMPERATURES[0]:
+            raise ValueError(f"`temperature` must be at least {TEMPERATURES[0]}, got {value}.")
         with torch.no_grad():
             self.log_temperature.fill_(math.log(value))
 
@@ -550,6 +560,8 @@ class CuriousSAC(nn.Module):
         if self.tunes_temperature:
             loss = temperature_loss(self.log_temperature, rate, self.target_information_rate)
             self.optimizers["temperature"].step(loss)
+            with torch.no_grad():  # a rate out of reach would drive it out of float32
+                self.log_temperature.clamp_(*LOG_TEMPERATURES)
         return metrics
 
     def _trained_parameters(self) -> dict[str, list[nn.Parameter]]:
@@ -562,11 +574,29 @@ class CuriousSAC(nn.Module):
         return {name: own for name, own in parameters.items() if own}
 
 
-def check_positive(name: str, value: float, *, or_zero: bool = False) -> None:
+def check_positive(
+    name: str, value: float, *, or_zero: bool = False, at_most: float = math.inf
+) -> None:
     """Reject numbers that are not finite and positive, or zero where that is allowed."""
     if not (math.isfinite(value) and (value > 0 or (or_zero and value == 0))):
         rule = "not negative" if or_zero else "positive"
         raise ValueError(f"`{name}` must be finite and {rule}, got {value}.")
+    if value > at_most:
+        raise ValueError(f"`{name}` must be at most {at_most}, got {value}.")
+
+
+def check_rate(rate: float, action_dim: int) -> None:
+    """Reject a target information rate that no policy holds.
+
+    Raises:
+        ValueError: If it is not positive, since no policy is equal to the prior, or so high that
+            only actions pressed to the edge of their box would reach it.
+    """
+    if not 0 < rate <= MOST_NATS * action_dim:
+        raise ValueError(
+            f"`target_information_rate` must be positive and at most {MOST_NATS * action_dim} for "
+            f"{action_dim} action dimensions, got {rate}."
+        )
 
 
 def _first_hunger(config: AgentConfig) -> float:

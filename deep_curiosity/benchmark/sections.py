@@ -8,6 +8,7 @@ from typing import Literal
 
 import torch
 
+from deep_curiosity.arguments import check_folder
 from deep_curiosity.benchmark import figures, page
 from deep_curiosity.benchmark.agents import Row, measure_agents
 from deep_curiosity.benchmark.costs import measure_bonus, measure_devices, measure_growth
@@ -15,6 +16,7 @@ from deep_curiosity.benchmark.own_agent import OwnAgent
 from deep_curiosity.benchmark.runners import Runner, import_runner
 from deep_curiosity.benchmark.switches import measure_switches
 from deep_curiosity.benchmark.vector import measure_vector_environments
+from deep_curiosity.configuration import Group, setting
 from deep_curiosity.training.config import Config
 
 STABLE_BASELINES = "deep_curiosity.benchmark.stable_baselines:StableBaselines"
@@ -37,17 +39,20 @@ TIMED_TASKS = [  # one of each body: the other tasks move the same ones
     for name in ("PendulumSwingup", "CartpoleSwingup", "PointMaze", "ReacherSparse")
 ]
 
+STEPPED = ("agents", "switches", "cuda")
+"""Sections in which agents take steps of an environment, as many as are set."""
+
 Tables = dict[str, list[Row]]
 """What was measured, by the name of the CSV file that it belongs in, without the ending."""
 
 
 @dataclass(frozen=True)
-class Benchmark:
+class Benchmark(Group):
     """What to measure, how often, and where to."""
 
-    repeats: int = 7
+    repeats: int = setting(7, at_most=1_000)
     """Rounds of measurement; everything that is compared has its turn in each."""
-    steps: int = 200
+    steps: int = setting(200)
     """Environment steps of an agent in a round; best a multiple of 20."""
     out: Path = Path("docs/benchmark")
     """Folder for tables, pictures and their README.md."""
@@ -58,6 +63,28 @@ class Benchmark:
     peers: dict[str, str] = field(default_factory=dict)
     """Further agents, each a name and module:callable, which makes a runner as described in
     deep_curiosity/benchmark/runners.py."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be measured, or would do nothing in the one section."""
+        super().__post_init__()
+        check_folder("out", self.out)
+        for name, address in self.peers.items():
+            module, _, maker = address.partition(":")
+            if not (
+                name and maker.isidentifier() and all(map(str.isidentifier, module.split(".")))
+            ):
+                raise ValueError(
+                    f"`peers` must each be a name and module:callable, got {name!r} {address!r}."
+                )
+        for option, default, sections in (
+            ("steps", Benchmark.steps, STEPPED),
+            ("peers", {}, ("agents",)),
+        ):
+            value = getattr(self, option)
+            if self.only is not None and self.only not in sections and value != default:
+                raise ValueError(
+                    f"`{option}` must be left out for the section {self.only}, got {value}."
+                )
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,10 @@ from deep_curiosity.bonuses.baselines import (
     RNDBonus,
 )
 from deep_curiosity.bonuses.curiosity import CuriosityBonus, check_entries
+from deep_curiosity.bonuses.decomposition import coefficients_of
 from deep_curiosity.bonuses.dynamics import DynamicsEnsemble, Whitening
 from deep_curiosity.bonuses.marginal import NextStateMarginal
-from deep_curiosity.configuration import Group, setting
+from deep_curiosity.configuration import LEAST_LEARNING_RATE, Group, setting
 from deep_curiosity.nn.networks import Adam
 
 if TYPE_CHECKING:
@@ -29,6 +30,8 @@ if TYPE_CHECKING:
     from deep_curiosity.transitions import Transition
 
 Sizes = Sequence[int]
+MOST_WEIGHT = 1e6  # of a standardised bonus, whose critics and their targets stay float32
+FINEST, COARSEST = 1e-6, 1e3  # of what is in standard deviations: float32 resolves no finer
 
 
 @dataclass(frozen=True)
@@ -73,7 +76,7 @@ class ConstantConfig(BonusConfig):
 
     kind = "constant"
 
-    weight: float = setting(0.1, name="bonus_weight", at_least=0)
+    weight: float = setting(0.1, name="bonus_weight", at_least=0, at_most=MOST_WEIGHT)
     """The bonus itself."""
 
     def make(self, observation_dim: int, action_dim: int, hidden_dims: Sizes) -> Bonus:
@@ -85,9 +88,9 @@ class ConstantConfig(BonusConfig):
 class WeightedConfig(BonusConfig):
     """What every standardised bonus has."""
 
-    weight: float = setting(0.1, name="bonus_weight", at_least=0)
+    weight: float = setting(0.1, name="bonus_weight", at_least=0, at_most=MOST_WEIGHT)
     """Factor of the standardised bonus; the first one where it is tuned."""
-    model_learning_rate: float = setting(1e-3, above=0)
+    model_learning_rate: float = setting(1e-3, above=0, at_least=LEAST_LEARNING_RATE, at_most=1)
     """Learning rate of the networks of the bonus."""
     refresh_interval: int = 20
     """Updates from one renewal of the statistics, and of the marginal, to the next."""
@@ -123,7 +126,7 @@ class DisagreementConfig(BaselineConfig):
 
     kind, bonus_class = "disagreement", DisagreementBonus
 
-    num_members: int = setting(5, at_least=2)
+    num_members: int = setting(5, at_least=2, at_most=1_000)
     """Models in the ensemble."""
 
 
@@ -133,9 +136,9 @@ class InformationGainConfig(BaselineConfig):
 
     kind, bonus_class = "information-gain", InformationGainBonus
 
-    num_members: int = setting(5, at_least=2)
+    num_members: int = setting(5, at_least=2, at_most=1_000)
     """Models in the ensemble."""
-    noise_std: float = setting(1e-3, above=0)
+    noise_std: float = setting(1e-3, above=0, at_least=FINEST, at_most=COARSEST)
     """Standard deviation of the outcome's noise, in whitened units."""
 
 
@@ -145,7 +148,7 @@ class RNDConfig(BaselineConfig):
 
     kind, bonus_class, scores_outcomes = "rnd", RNDBonus, True
 
-    random_features: int = 512
+    random_features: int = setting(512, at_most=2**16)
     """Outputs of the random network."""
 
 
@@ -155,7 +158,7 @@ class ICMConfig(BaselineConfig):
 
     kind, bonus_class, scores_outcomes = "icm", ICMBonus, True
 
-    feature_dim: int = 32
+    feature_dim: int = setting(32, at_most=2**14)
     """Length of the learned features."""
 
 
@@ -170,6 +173,14 @@ class NearestNeighboursConfig(BaselineConfig):
     """Neighbours over which the distance is averaged."""
     memory: int = 2048
     """States remembered."""
+
+    def __post_init__(self) -> None:
+        """Refuse more neighbours than are remembered."""
+        super().__post_init__()
+        if self.neighbours > self.memory:
+            raise ValueError(
+                f"`neighbours` must be at most `memory` ({self.memory}), got {self.neighbours}."
+            )
 
 
 @dataclass(frozen=True)
@@ -191,13 +202,13 @@ class HashCountConfig(BaselineConfig):
 class DynamicsConfig(Group):
     """The ensemble that predicts the next state."""
 
-    num_members: int = setting(5, at_least=2)
+    num_members: int = setting(5, at_least=2, at_most=1_000)
     """Models in the ensemble."""
     members: Literal["round_robin", "all"] = "round_robin"
     """Train and score each transition by one model, in round-robin order, or by all of them."""
-    mixture_components: int = setting(1, name="model_mixture_components")
+    mixture_components: int = setting(1, name="model_mixture_components", at_most=100)
     """Gaussians that make up a prediction; a next state that is one of two needs two."""
-    noise_floor: float = setting(0.05, above=0)
+    noise_floor: float = setting(0.05, above=0, at_least=FINEST, at_most=COARSEST)
     """Resolution of what is observed, in standard deviations of the observation."""
     whitening: Whitening = "saturating"
     """Unit of the observation's entries: moments is their standard deviation; robust their
@@ -209,11 +220,13 @@ class DynamicsConfig(Group):
 class MarginalConfig(Group):
     """The density of usual next states."""
 
-    components: int = setting(2048, at_least=2)
+    components: int = setting(2048, at_least=2, at_most=10**5)
     """Next states that make up the marginal."""
-    bandwidth: float | Literal["silverman", "perplexity"] = setting("silverman", above=0)
+    bandwidth: float | Literal["silverman", "perplexity"] = setting(
+        "silverman", above=0, at_least=FINEST, at_most=COARSEST
+    )
     """Width of the marginal's kernels, in standard deviations of the components."""
-    half_life: float | None = setting(10.0, name="marginal_half_life", above=0)
+    half_life: float | None = setting(10.0, name="marginal_half_life", above=0, at_most=1e6)
     """Episodes after which a state that was visited counts half; none forgets nothing, so that
     p(x') is that of all replay."""
 
@@ -224,17 +237,33 @@ class CuriosityConfig(WeightedConfig):
 
     kind = "curiosity"
 
-    tune_weight: float | Literal["past"] | None = setting(None, name="tune_bonus_weight")
+    tune_weight: float | Literal["past"] | None = setting(
+        None, name="tune_bonus_weight", at_least=-1e6, at_most=1e6
+    )
     """Let the weight rise while the policy earns less than: past, what it earned of late; or so
     many nats."""
-    parts: dict[str, float] = setting({}, name="bonus_parts")
+    parts: dict[str, float] = setting({}, name="bonus_parts", at_least=-1e6, at_most=1e6)
     """Weights of what curiosity is made of, instead of D as a whole: predictive_power,
     information_gain, negative_entropy, cross_entropy; such as: information_gain 1"""
-    features: tuple[int, ...] = ()
+    features: tuple[int, ...] = setting((), at_least=-(10**6), at_most=10**6)
     """Entries of the observation that curiosity is about, from the end where negative; all by
     default, or with a frame stack the two newest observations."""
     dynamics: DynamicsConfig = field(default_factory=DynamicsConfig)
     marginal: MarginalConfig = field(default_factory=MarginalConfig)
+
+    def __post_init__(self) -> None:
+        """Refuse parts that leave nothing, and what would do nothing."""
+        super().__post_init__()
+        try:
+            coefficients_of(self.parts or None)
+        except ValueError as error:
+            raise ValueError(f"`bonus_parts` cannot be weighed: {error}") from error
+        if len(set(self.features)) < len(self.features):
+            raise ValueError(f"`features` must name different entries, got {list(self.features)}.")
+        if self.weight == 0 and self.tune_weight is not None:
+            raise ValueError(
+                "`bonus_weight` must be positive where `tune_bonus_weight` is to move it, got 0."
+            )
 
     def make(
         self,

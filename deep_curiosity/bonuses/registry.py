@@ -5,7 +5,7 @@ from typing import Any
 
 from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.bonuses.config import BONUS_CONFIGS, bonus_config
-from deep_curiosity.configuration import flat, override
+from deep_curiosity.configuration import flat, override, unknown_setting
 
 BONUSES = tuple(name for name in BONUS_CONFIGS if name not in ("constant", "none"))
 """Curiosity and the baselines that it is compared with, all weighed and standardised alike."""
@@ -42,8 +42,7 @@ def make_bonus(
     known = flat(config)
     for option in options:
         if option not in known:
-            settings = ", ".join([*known, "hidden_dims"])
-            raise TypeError(f"`{option}` is no setting here; there are {settings}.")
+            raise unknown_setting(option, [*known, "hidden_dims"])
     config = override(config, **options)
     bonus = config.make(observation_dim, action_dim, hidden_dims, **built_with)
     assert isinstance(bonus, Bonus)

@@ -51,14 +51,15 @@ class TunedWeight(nn.Module):
 
     @torch.no_grad()
     def follow(self, earned: Float[Tensor, ""], num_updates: int = 1) -> None:
-        """Take a step for what the policy of now earns on average.
+        """Take a step for what the policy of now earns on average; none where that is not finite.
 
         Args:
             earned: Mean score of its actions.
             num_updates: Of the agent, for which this look stands.
         """
         past = torch.where(self.past.isnan(), earned, self.past)
+        earned = torch.where(earned.isfinite(), earned, past)
         goal = past if self.goal is None else self.goal
-        self.log_factor.sub_(num_updates * self.learning_rate * (earned - goal))
-        self.log_factor.clamp_(-LOG_RANGE, LOG_RANGE)
+        step = (num_updates * self.learning_rate * (earned - goal)).nan_to_num(nan=0.0)
+        self.log_factor.sub_(step).clamp_(-LOG_RANGE, LOG_RANGE)
         self.past.copy_(torch.lerp(earned, past, PAST_DECAY**num_updates))

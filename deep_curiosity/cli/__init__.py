@@ -1,16 +1,19 @@
 """The command line, `deep-curiosity COMMAND`: every command is a module, loaded when asked for."""
 
 import difflib
+import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from importlib import import_module
 from typing import NamedTuple
 
 from deep_curiosity import __version__
 
 PROGRAM = "deep-curiosity"
-MISTAKES = (ImportError, OSError, RuntimeError, TypeError, ValueError)
-"""Errors that are answered in one line."""
+MISTAKE = 2  # exit status where the user can mend what is wrong, as of the parser itself
+INTERRUPTED = 130  # as of a shell's command that Ctrl-C has ended
+NAMED = re.compile(r"`[^`\n]+`")  # how messages name the argument that they are about
 
 
 class Command(NamedTuple):
@@ -43,8 +46,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: The name of the command and what it is given; those of the process when `None`.
 
     Returns:
-        Exit status: 0 where all went well, 1 after an error, 2 for a command that does not exist,
-        130 after Ctrl-C.
+        Exit status: 0 where all went well, 1 where something that was tried failed.
+
+    Raises:
+        SystemExit: With status 2 after a mistake of the user, which is answered in one line, and
+            130 after Ctrl-C.
     """
     if "" not in sys.path:
         sys.path.insert(0, "")  # so that a module of the user's is found here, as `python -m` does
@@ -52,15 +58,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if name in ("-h", "--help", "--version"):
         print(__version__ if name == "--version" else usage())
         return 0
+    with answering():
+        return int(import_module(_find(name).module).main(given))
+
+
+def _find(name: str) -> Command:
     if name not in COMMANDS:
         nearest = difflib.get_close_matches(name, COMMANDS, n=1)
         hint = f"; did you mean {nearest[0]}?" if nearest else "."
-        print(
-            f"error: `command` must be one of {', '.join(COMMANDS)}, got {name!r}{hint}",
-            file=sys.stderr,
-        )
-        return 2
-    return _run(COMMANDS[name].module, given)
+        raise ValueError(f"`command` must be one of {', '.join(COMMANDS)}, got {name!r}{hint}")
+    return COMMANDS[name]
 
 
 def usage() -> str:
@@ -79,12 +86,27 @@ def usage() -> str:
     )
 
 
-def _run(module: str, arguments: Sequence[str]) -> int:
-    """Run the command of a module; a mistake of its user is an answer, not a traceback."""
+@contextmanager
+def answering() -> Iterator[None]:
+    """End the process with one line about a mistake of the user; a bug keeps its traceback.
+
+    Raises:
+        SystemExit: With status 2 where the error says what to change, 130 on Ctrl-C.
+    """
     try:
-        return int(import_module(module).main(arguments))
-    except MISTAKES as error:
-        print(f"error: {error}", file=sys.stderr)
-        return 1
+        yield
     except KeyboardInterrupt:
-        return 130
+        sys.exit(INTERRUPTED)
+    except Exception as error:
+        if not is_answer(error):
+            raise
+        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
+        sys.exit(MISTAKE)
+
+
+def is_answer(error: Exception) -> bool:
+    """Whether an error says what to change: it is about the machine, or names an argument."""
+    if isinstance(error, ImportError | OSError) or type(error).__module__ == "gymnasium.error":
+        return True
+    kinds = ArithmeticError | RuntimeError | TypeError | ValueError
+    return isinstance(error, kinds) and NAMED.search(str(error)) is not None

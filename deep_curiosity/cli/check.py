@@ -1,12 +1,14 @@
 """Check by experiment whether a bonus works on your environment, and profile what it observes."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated
 
 import torch
 import tyro
 
+from deep_curiosity.arguments import read_arguments
+from deep_curiosity.configuration import MOST_SEED, Group, setting
 from deep_curiosity.integrations.check.experiments import check_integration
 from deep_curiosity.integrations.check.profile import Profile, profile
 from deep_curiosity.integrations.trainer import LearnerIntegration
@@ -15,28 +17,28 @@ from deep_curiosity.training.environments import make_environment
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(Group):
     """What to check."""
 
     env_id: Annotated[str, tyro.conf.Positional]
     """Task: one of ours, a gymnasium id, or dm_control/DOMAIN-TASK-v0."""
-    env_kwargs: dict[str, float] = field(default_factory=dict)
+    env_kwargs: dict[str, bool | int | float | str | None] = setting({})
     """Keyword arguments of the environment, such as: action_cost 0.1"""
-    frame_stack: int = 1
+    frame_stack: int = setting(1, at_most=1_000)
     """Observations shown to the agent together, with the actions between them."""
     bonus: str = "curiosity"
     """Name of the bonus, as for training."""
-    num_steps: int = 2_000
+    num_steps: int = setting(2_000)
     """Random steps from which the profile is made; as many are collected for the check."""
-    num_updates: int = 200
+    num_updates: int = setting(200)
     """Updates of the agent before its bonus is looked at."""
-    seed: int = 0
+    seed: int = setting(0, at_least=0, at_most=MOST_SEED)
     """Seeds environment, agent and random actions."""
 
 
 def main(arguments: Sequence[str]) -> int:
     """Print the profile and the check; return whether a line of it failed."""
-    args = tyro.cli(Args, args=arguments, description=__doc__, prog="deep-curiosity check")
+    args = read_arguments(Args, arguments, description=__doc__, prog="deep-curiosity check")
     torch.set_num_threads(1)
     config = Config.of(
         env_id=args.env_id,

@@ -11,25 +11,26 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from deep_curiosity.requirements import require
+from deep_curiosity.arguments import read_arguments
+from deep_curiosity.configuration import MOST_SEED, Group, setting
 from deep_curiosity.trained.policy import TrainedPolicy, load
 from deep_curiosity.training.config import EnvironmentConfig
 from deep_curiosity.training.environments import registered_id
-from deep_curiosity.training.playback import write_video
+from deep_curiosity.training.playback import check_video, write_video
 
 DEMOS = files("deep_curiosity") / "demos"
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(Group):
     """What to play."""
 
     agent: Annotated[Literal["maze", "pendulum", "rover"], tyro.conf.Positional] = "maze"
     """Finds a goal behind two walls; swings a pole up by a motor too weak to lift it; or roams
     while its battery lasts."""
-    episodes: int = 3
+    episodes: int = setting(3)
     """Episodes to play."""
-    seed: int = 0
+    seed: int = setting(0, at_least=0, at_most=MOST_SEED)
     """Seed of the first reset; each episode has the next."""
     video: Path | None = None
     """File for a video of the first episode, .mp4 or .gif; needs MUJOCO_GL=egl or osmesa on a
@@ -38,11 +39,8 @@ class Args:
 
 def main(arguments: Sequence[str]) -> int:
     """Print the return of every episode, and write the video."""
-    args = tyro.cli(Args, args=arguments, description=__doc__, prog="deep-curiosity demo")
-    if args.video is not None:
-        require("imageio", extra="video")  # before anything is played
-    if args.episodes < 1:
-        raise ValueError(f"`episodes` must be at least 1, got {args.episodes}.")
+    args = read_arguments(Args, arguments, description=__doc__, prog="deep-curiosity demo")
+    check_video(args.video)
     with as_file(DEMOS / args.agent) as folder:
         policy = load(folder)
     task = policy.config.environment

@@ -8,36 +8,46 @@ from typing import Annotated
 
 import tyro
 
-from deep_curiosity.requirements import require
+from deep_curiosity.arguments import check_folder, read_arguments
+from deep_curiosity.configuration import MOST_SEED, Group, setting
 from deep_curiosity.training.collector import evaluate
 from deep_curiosity.training.environments import make_environment
 from deep_curiosity.training.log import read_config
-from deep_curiosity.training.playback import load_policy, record_episode, write_video
+from deep_curiosity.training.playback import (
+    check_video,
+    load_policy,
+    record_episode,
+    write_video,
+)
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(Group):
     """What to replay."""
 
     folder: Annotated[Path, tyro.conf.Positional]
     """Folder of the run."""
-    episodes: int = 10
+    episodes: int = setting(10)
     """Episodes to play."""
-    seed: int = 7
+    seed: int = setting(7, at_least=0, at_most=MOST_SEED)
     """Seed of the resets."""
-    hunger: tuple[float, ...] = ()
+    hunger: tuple[float, ...] = setting((), at_least=0, at_most=1)
     """Of an agent that is conditioned on it: one or several to play with, from 0, purely curious,
     to 1, purely greedy."""
     video: Path | None = None
     """File for a video of the first episode, at the last hunger, .mp4 or .gif; needs MUJOCO_GL=egl
     or osmesa on a machine without a screen."""
 
+    def __post_init__(self) -> None:
+        """Refuse a file that could not be written, before anything is played."""
+        super().__post_init__()
+        check_folder("folder", self.folder)
+        check_video(self.video)
+
 
 def main(arguments: Sequence[str]) -> int:
     """Print returns, and write the video."""
-    args = tyro.cli(Args, args=arguments, description=__doc__, prog="deep-curiosity evaluate")
-    if args.video is not None:
-        require("imageio", extra="video")  # before anything is played
+    args = read_arguments(Args, arguments, description=__doc__, prog="deep-curiosity evaluate")
     config = read_config(args.folder)
     environment = make_environment(config.environment)
     for hunger in args.hunger or (None,):

@@ -7,11 +7,13 @@ from typing import Annotated
 
 import tyro
 
+from deep_curiosity.arguments import read_arguments
+from deep_curiosity.configuration import Group
 from deep_curiosity.trained.export import export
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(Group):
     """What to write, and where."""
 
     folder: Annotated[Path, tyro.conf.Positional]
@@ -24,6 +26,6 @@ class Args:
 
 def main(arguments: Sequence[str]) -> int:
     """Write it, and say where."""
-    args = tyro.cli(Args, args=arguments, description=__doc__, prog="deep-curiosity export")
+    args = read_arguments(Args, arguments, description=__doc__, prog="deep-curiosity export")
     print(export(args.folder, args.out, curious=args.curious))
     return 0

@@ -7,6 +7,8 @@ from typing import Annotated
 
 import tyro
 
+from deep_curiosity.arguments import check_folder, read_arguments
+from deep_curiosity.configuration import Group
 from deep_curiosity.experiments.curves import (
     find_runs,
     known_tags,
@@ -17,7 +19,7 @@ from deep_curiosity.experiments.curves import (
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(Group):
     """What to draw."""
 
     runs: Annotated[tuple[Path, ...], tyro.conf.Positional]
@@ -32,10 +34,15 @@ class Args:
     """Settings that make an agent, such as bonus; by default all in which the runs differ, but
     for the seed."""
 
+    def __post_init__(self) -> None:
+        """Refuse what cannot be written, before anything is read."""
+        super().__post_init__()
+        check_folder("out", self.out.parent)
+
 
 def main(arguments: Sequence[str]) -> int:
     """Write the picture and the page, and say where they are."""
-    args = tyro.cli(Args, args=arguments, description=__doc__, prog="deep-curiosity plot")
+    args = read_arguments(Args, arguments, description=__doc__, prog="deep-curiosity plot")
     runs = read_runs(find_runs(args.runs), args.group_by)
     tags = known_tags(runs, args.tags)
     picture, page = (args.out.with_name(args.out.name + suffix) for suffix in (".png", ".html"))

@@ -7,19 +7,21 @@ from typing import Annotated
 
 import tyro
 
-from deep_curiosity.experiments.grid import overridden, part_of, run_study
+from deep_curiosity.arguments import check_folder, read_arguments
+from deep_curiosity.configuration import Group, setting
+from deep_curiosity.experiments.grid import SUFFIXES, overridden, part_of, run_study
 from deep_curiosity.experiments.studies import find_study
 from deep_curiosity.training.command_line import read_settings
 
 
 @dataclass(frozen=True)
-class Args:
+class Args(Group):
     """What to study, and where."""
 
     study: Annotated[str, tyro.conf.Positional]
     """Name of a study, such as sparse, bonuses, rate or noise; or a file of your own that holds
     STUDIES, as FILE.py or FILE.py:NAME."""
-    seeds: int | None = None
+    seeds: int | None = setting(None, at_most=10_000)
     """Seeds of each agent on each task; by default as many as the study is documented with."""
     tasks: tuple[str, ...] = ()
     """Only these tasks of the study."""
@@ -31,15 +33,28 @@ class Args:
     """Folder for the runs; finished ones there are not run again."""
     out: Path | None = None
     """Path of table, summary and figure, without suffix; by default as documented."""
-    workers: int = 2
+    workers: int = setting(2, at_most=1_024)
     """Processes at a time."""
+
+    def __post_init__(self) -> None:
+        """Refuse folders that cannot be, before anything is run."""
+        super().__post_init__()
+        check_folder("runs", self.runs)
+        if self.out is not None:
+            check_folder("out", self.out.parent)
+            if self.out.suffix in SUFFIXES or self.out.is_dir():
+                raise ValueError(
+                    f"`out` must be a path of a file without its suffix, got {self.out}."
+                )
 
 
 def main(arguments: Sequence[str]) -> int:
     """Run the study; return whether runs failed."""
-    args = tyro.cli(Args, args=arguments, description=__doc__, prog="deep-curiosity study")
+    args = read_arguments(Args, arguments, description=__doc__, prog="deep-curiosity study")
     name, study, folder = find_study(args.study)
-    study = replace(part_of(study, args.tasks, args.agents), seeds=args.seeds or study.seeds)
+    study = part_of(study, args.tasks, args.agents)
+    if args.seeds is not None:
+        study = replace(study, seeds=args.seeds)
     study = overridden(study, read_settings(args.set))
     out = args.out or folder / "-".join((name, *args.tasks, *args.agents))
     failed = run_study(study, runs=args.runs / name, out=out, workers=args.workers)

@@ -16,11 +16,25 @@ from deep_curiosity.experiments.statistics import probability_of_improvement
 from deep_curiosity.experiments.study import Cell, Result, Row, Study
 from deep_curiosity.experiments.tables import markdown_table, select, summarize, write_table
 
+SUFFIXES = (".csv", ".md", ".png")
+"""Of the files of a study: tables, summary, figure."""
+CHOSEN = ("out", "seed")
+"""Settings that a study chooses for each of its runs."""
 MANY_TO_COMPARE = 12  # agents: a table of all pairs would be longer than anyone reads
 
 
 def overridden(study: Study, values: dict[str, Any]) -> Study:
-    """The same study with settings of all its runs changed, by their flat names."""
+    """The same study with settings of all its runs changed, by their flat names.
+
+    Raises:
+        TypeError: If there is no such setting, or a value has the wrong type.
+        ValueError: If a value is out of range, or the study itself chooses the setting.
+    """
+    for name, value in values.items():
+        if name in CHOSEN or all(name in settings for settings in study.agents.values()):
+            raise ValueError(
+                f"`{name}` must be left to the study, which gives each run its own, got {value!r}."
+            )
     tasks = [replace(task, config=task.config.override(**values)) for task in study.tasks]
     return replace(study, tasks=tasks)
 
@@ -29,13 +43,17 @@ def part_of(study: Study, tasks: Sequence[str], agents: Sequence[str]) -> Study:
     """Some tasks and agents of a study, by their names; all where none is named.
 
     Raises:
-        ValueError: If a name is none of the study's.
+        ValueError: If a name is none of the study's, or named twice.
     """
     by_name = {task.name: task for task in study.tasks}
     labels = {str(label): label for label in study.agents}
     for name, wanted, known in (("tasks", tasks, by_name), ("agents", agents, labels)):
         if unknown := sorted(set(wanted) - set(known)):
-            raise ValueError(f"`{name}` must be of the study, got {', '.join(unknown)}.")
+            raise ValueError(
+                f"`{name}` must be of the study, {', '.join(known)}, got {', '.join(unknown)}."
+            )
+        if len(set(wanted)) < len(wanted):
+            raise ValueError(f"`{name}` must be named once each, got {', '.join(wanted)}.")
     return replace(
         study,
         tasks=[by_name[name] for name in tasks or by_name],
@@ -134,15 +152,16 @@ def report(
     study: Study, rows: list[Row], curves: list[Row], failures: Sequence[str], out: Path
 ) -> None:
     """Write table, curves, summary and figure of what was measured."""
-    write_table(out.with_suffix(".csv"), rows)
+    table, text, figure = (out.with_name(out.name + suffix) for suffix in SUFFIXES)
+    write_table(table, rows)
     if study.curves:
         write_table(out.with_name(f"{out.name}_curves.csv"), curves)
-        plot_curves(out.with_suffix(".png"), study, rows, curves)
+        plot_curves(figure, study, rows, curves)
     else:
-        plot_columns(out.with_suffix(".png"), study, rows)
+        plot_columns(figure, study, rows)
     failed = [f"- failed: {failure}" for failure in failures]
     summary = "\n".join([summarize(study, rows), *compare(study, rows), *failed])
-    out.with_suffix(".md").write_text(summary.rstrip("\n") + "\n")
+    text.write_text(summary.rstrip("\n") + "\n")
     print(summary)
 
 

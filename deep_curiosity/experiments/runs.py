@@ -1,6 +1,7 @@
 """One run: begun, continued or, where it is finished, read; and what is measured of it."""
 
 import json
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -102,11 +103,19 @@ def run_foreign(cell: "Cell", trained: Callable[["Cell"], tuple["Row", list["Row
 
 
 def find_finished(runs: Path) -> dict[str, Path]:
-    """Folders of all runs that lie somewhere below one, by what makes each run the one it is."""
-    return {
-        json.dumps(config_key(read_values(path.parent)), sort_keys=True): path.parent
-        for path in sorted(runs.rglob(CONFIG), reverse=True)
-    }
+    """Folders of all runs that lie somewhere below one, by what makes each run the one it is.
+
+    A run whose settings cannot be read is left where it lies, with a warning.
+    """
+    found = {}
+    for path in sorted(runs.rglob(CONFIG), reverse=True):
+        try:
+            key = config_key(read_values(path.parent))
+        except (OSError, ValueError) as error:
+            warnings.warn(f"{path.parent} is passed over: {error}", stacklevel=2)
+            continue
+        found[json.dumps(key, sort_keys=True)] = path.parent
+    return found
 
 
 def finished_key(config: Config) -> str:

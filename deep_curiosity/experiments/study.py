@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from deep_curiosity.configuration import check_range
 from deep_curiosity.experiments.runs import measure_run, run_own
 from deep_curiosity.training.config import Config
 
@@ -44,6 +45,11 @@ class Study:
         measure: From the settings of a finished run and its summary to rows of the table.
         run: Sees to one cell; another library's agents have a function of their own.
         curves: Whether the figure shows learning curves instead of the columns.
+
+    Raises:
+        TypeError: If an agent changes a setting that there is not, or gives it a wrong type.
+        ValueError: If there is no task or agent, two have one name, a number is out of range, or
+            an agent's settings cannot be.
     """
 
     tasks: Sequence[Task]
@@ -55,6 +61,26 @@ class Study:
     measure: Callable[[Config, Row], list[Row]] = measure_run
     run: Callable[["Cell"], "Result"] = run_own
     curves: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse what could not be run, before anything is."""
+        check_range("seeds", self.seeds, {"at_most": 10_000})
+        check_range("first_seed", self.first_seed, {"at_least": 0})
+        tasks, agents = [task.name for task in self.tasks], [str(label) for label in self.agents]
+        for name, known in (("tasks", tasks), ("agents", agents)):
+            if not known or len(set(known)) < len(known):
+                raise ValueError(f"`{name}` must have names, each of its own, got {known}.")
+        if self.run is run_own:
+            self._check_settings()
+
+    def _check_settings(self) -> None:
+        """Refuse settings of an agent that its runs could not have."""
+        for task in self.tasks:
+            for label, settings in self.agents.items():
+                try:
+                    task.config.override(**settings)
+                except (TypeError, ValueError) as error:
+                    raise type(error)(f"agent {label!r} on {task.name}: {error}") from error
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Literal
 
-from deep_curiosity.configuration import Group
+from deep_curiosity.configuration import Group, setting
 
 
 @dataclass(frozen=True)
@@ -12,7 +12,7 @@ class SpeedConfig(Group):
 
     device: str = "cpu"
     """Where replay, updates and bonus live: cpu, or cuda."""
-    threads: int = 1
+    threads: int = setting(1, at_most=1_024)
     """CPU threads of torch; two are often slower than one for networks of this size."""
     compile: Literal["auto", "on", "off"] = "auto"
     """Compile the updates, which takes half a minute; auto does so in long runs, after some."""

@@ -18,9 +18,10 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 import tyro
 
+from deep_curiosity.arguments import check_folder, read_arguments
 from deep_curiosity.bonuses.config import BONUS_CONFIGS
 from deep_curiosity.configuration import Setting, flat
-from deep_curiosity.training.config import PRESETS, Config
+from deep_curiosity.training.config import PRESETS, Config, merge_config
 from deep_curiosity.training.log import read_config
 
 COMMON = (
@@ -65,7 +66,10 @@ PRESET_HELP = (
 )
 TRUTH = {"true": True, "false": False}
 """Words among arguments of the environment that would be true as text, both of them."""
-RESUME_HELP = "Folder of a run to continue, in place; only total_steps may be changed."
+RESUME_HELP = (
+    "Folder of a run to continue, in place; what does not change what is learned may be given "
+    "anew: total_steps, intervals, evaluation_episodes, device, threads, compile."
+)
 
 
 class Command(NamedTuple):
@@ -78,7 +82,7 @@ class Command(NamedTuple):
 def parse(
     arguments: Sequence[str] | None = None, *, description: str, prog: str | None = None
 ) -> Command:
-    """Read a command line; with `--resume` the run's own settings are the defaults.
+    """Read a command line; with `--resume` what is not given is as the run has it.
 
     Args:
         arguments: Those of the process when `None`.
@@ -87,22 +91,39 @@ def parse(
 
     Raises:
         FileNotFoundError: If there is no run to continue.
+        SystemExit: If an option cannot be read, once it is printed why.
         TypeError: If a value has the wrong type.
-        ValueError: If a value is out of range, or a setting would do nothing.
+        ValueError: If a value is out of range, a setting would do nothing, or a run cannot be
+            continued with it.
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     show_all = not {"-h", "--help"} & set(given)  # what is hidden could not be set either
     given = ["--help" if argument == "--help-all" else argument for argument in given]
     resume = _peek(given, "--resume")
-    base = Config() if resume is None else read_config(Path(resume))
-    base = base.override(
-        _known(_peek(given, "--preset"), PRESETS) or "fast",
-        bonus=_known(_peek(given, "--bonus"), BONUS_CONFIGS) or base.bonus,
+    own = Config() if resume is None else _read_own(resume)
+    base = own.override(
+        _known(_peek(given, "--preset"), PRESETS),
+        bonus=_known(_peek(given, "--bonus"), BONUS_CONFIGS) or own.bonus,
     )
     kind = _command_class(base, show_all)
-    read = vars(tyro.cli(kind, args=given, description=description, prog=prog))
-    values = {name: _from_text(flat(base)[name], read[name]) for name in flat(base)}
-    return Command(base.override(**values), resume is not None)
+    read = vars(read_arguments(kind, given, description=description, prog=prog))
+    values = {name: _from_text(each, read[name]) for name, each in flat(base).items()}
+    config = base.override(**values)
+    if resume is None:
+        check_folder("out", config.run.out)
+        return Command(config, False)
+    if config.run.out.resolve() != own.run.out.resolve():
+        raise ValueError(
+            f"`out` must be left out where a run is continued in {own.run.out}, "
+            f"got {config.run.out}."
+        )
+    return Command(merge_config(config, own), True)
+
+
+def _read_own(folder: str) -> Config:
+    """Settings of the run that is to be continued."""
+    check_folder("resume", Path(folder))
+    return read_config(Path(folder))
 
 
 def _peek(arguments: list[str], flag: str) -> str | None:
@@ -192,15 +213,17 @@ def read_settings(pairs: Sequence[str]) -> dict[str, Any]:
     """Settings written as `name=value`, each value as Python or as text.
 
     Raises:
-        ValueError: If one is not written so.
+        ValueError: If one is not written so, or named twice.
     """
     values: dict[str, Any] = {}
     for pair in pairs:
         name, separator, text = pair.partition("=")
         if not separator:
-            raise ValueError(f"a setting must be written as name=value, got {pair!r}.")
+            raise ValueError(f"`set` must be written as name=value, got {pair!r}.")
+        if name in values:
+            raise ValueError(f"`set` must name a setting once, got {name!r} twice.")
         try:
             values[name] = ast.literal_eval(text)
-        except (SyntaxError, ValueError):
+        except (MemoryError, RecursionError, SyntaxError, ValueError):  # no Python, or too deep
             values[name] = text
     return values

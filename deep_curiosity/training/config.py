@@ -1,8 +1,10 @@
 """Settings of a training run: nested dataclasses, whose comments are the command line's help."""
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
+from fractions import Fraction
 from pathlib import Path
 from typing import Any, Literal
 
@@ -10,11 +12,26 @@ import torch
 
 from deep_curiosity.agent.config import AgentConfig, CuriosityValueConfig
 from deep_curiosity.bonuses.config import BonusConfig, CuriosityConfig, bonus_config
-from deep_curiosity.configuration import Group, as_plain, changes, flat, override, setting
+from deep_curiosity.configuration import (
+    MOST_SEED,
+    MOST_STEPS,
+    Group,
+    as_plain,
+    changes,
+    flat,
+    override,
+    setting,
+    unknown_setting,
+)
 from deep_curiosity.speed.config import SpeedConfig
 
 PRESETS: dict[str, dict[str, Any]] = {
-    "fast": {},
+    "fast": {
+        "members": "round_robin",
+        "actor_q": "alternate",
+        "actor_batch_fraction": 0.5,
+        "refresh_interval": 20,
+    },
     "exact": {
         "members": "all",
         "actor_q": "min",
@@ -48,9 +65,9 @@ class EnvironmentConfig(Group):
     """Entries of a dictionary of observations that are shown to the agent; all when none."""
     terminate_on_success: bool = False
     """End an episode once the task reports success."""
-    frame_stack: int = 1
+    frame_stack: int = setting(1, at_most=1_000)
     """Observations shown to the agent together, with the actions between them."""
-    num_envs: int = 1
+    num_envs: int = setting(1, at_most=2**16)
     """Environments that are stepped side by side; all steps and intervals count over all of them,
     and are rounded up to whole steps of each."""
     vectorization: Literal["auto", "native", "sync", "async"] = "auto"
@@ -83,9 +100,9 @@ class EnvironmentConfig(Group):
 class RunConfig(Group):
     """The course of the run."""
 
-    total_steps: int = 20_000
+    total_steps: int = setting(20_000, at_most=MOST_STEPS)
     """Environment steps, over all environments and resumed parts together."""
-    seed: int = setting(0, at_least=0)
+    seed: int = setting(0, at_least=0, at_most=MOST_SEED)
     """Seeds torch, the environments and the replay."""
     out: Path = Path("runs/latest")
     """Folder that receives the run; must not hold one already."""
@@ -94,24 +111,24 @@ class RunConfig(Group):
     and their statistics this one begins with; it then acts by its policy from the first step."""
     init_replay: bool = False
     """Take the transitions of that run as well, where they tell of this task and its reward."""
-    learning_starts: int = setting(500, at_least=0)
+    learning_starts: int = setting(500, at_least=0, at_most=MOST_STEPS)
     """Steps before the first update, of uniformly random actions unless `init_from` is set."""
-    update_to_data: float = setting(1.0, above=0)
+    update_to_data: float = setting(1.0, above=0, at_most=1_000)
     """Updates per environment step once learning has begun; 0.25 is one at every fourth step."""
     batch_size: int = 256
     """Transitions in an update."""
-    replay_capacity: int = 1_000_000
+    replay_capacity: int = setting(1_000_000, at_most=10**9)
     """Transitions kept; memory is taken only as they come."""
     exploration: Literal["policy", "gsde", "pink", "ou"] = "policy"
     """Noise of the actions: the policy's own samples, or noise that is correlated in time: linear
     in the policy's last hidden layer (gSDE), pink, or an Ornstein-Uhlenbeck process."""
-    log_interval: int = 500
+    log_interval: int = setting(500, at_most=MOST_STEPS)
     """Steps from one row of progress.csv to the next."""
-    evaluation_interval: int = 2_000
+    evaluation_interval: int = setting(2_000, at_most=MOST_STEPS)
     """Steps from one evaluation to the next; there is always one at the end."""
     evaluation_episodes: int = 10
     """Episodes in each evaluation, without noise."""
-    checkpoint_interval: int = 5_000
+    checkpoint_interval: int = setting(5_000, at_most=MOST_STEPS)
     """Steps from one checkpoint to the next; there is always one at the end."""
 
 
@@ -137,11 +154,7 @@ class Config(Group):
             ValueError: Naming the setting, the rule and the value.
         """
         super().__post_init__()
-        if self.run.learning_starts >= self.run.total_steps:
-            raise ValueError(
-                f"`total_steps` must be above `learning_starts` ({self.run.learning_starts}), or "
-                f"nothing is ever learned, got {self.run.total_steps}."
-            )
+        _check_course(self)
         if self.run.exploration != "policy" and self.agent.mixture_components > 1:
             raise ValueError(
                 f"`exploration` must be 'policy' for a policy of {self.agent.mixture_components} "
@@ -156,20 +169,20 @@ class Config(Group):
         _refuse_idle_settings(self)
 
     @classmethod
-    def of(cls, preset: str = "fast", **values: Any) -> "Config":
+    def of(cls, preset_name: str | None = None, /, **values: Any) -> "Config":
         """The default configuration with some settings changed, by their flat names.
 
         Args:
-            preset: How networks sample a batch, a key of `PRESETS`.
+            preset_name: How networks sample a batch, a key of `PRESETS`; `None` changes nothing.
             **values: Settings; `bonus` may be a name.
 
         Raises:
             TypeError: If there is no such setting, or a value has the wrong type.
             ValueError: If a value is out of range.
         """
-        return cls().override(preset, **values)
+        return cls().override(preset_name, **values)
 
-    def override(self, preset: str = "fast", **values: Any) -> "Config":
+    def override(self, preset_name: str | None = None, /, **values: Any) -> "Config":
         """The same configuration with some settings changed, as in `of`."""
         kind = values.pop("bonus", self.bonus)
         bonus = self.bonus if kind == self.bonus else _switched(self.bonus, kind)
@@ -177,8 +190,8 @@ class Config(Group):
         known = [name for group in groups.values() for name in flat(group)]
         for name in values:
             if name not in known:
-                raise TypeError(f"`{name}` is no setting here; there are {', '.join(known)}.")
-        chosen = _preset(preset) | values
+                raise unknown_setting(name, known)
+        chosen = ({} if preset_name is None else _preset(preset_name)) | values
         changed: dict[str, Any] = {
             field: override(
                 group, **{name: chosen[name] for name in flat(group) if name in chosen}
@@ -197,12 +210,19 @@ class Config(Group):
         """Read what `to_json` gave.
 
         Raises:
-            ValueError: If there is no such setting or it cannot have this value, naming `source`.
+            ValueError: If there is no such setting, it cannot have this value, or one is missing,
+                naming `source`.
         """
         try:
-            return cls.of(**values)
+            if not isinstance(values, Mapping):
+                raise TypeError(f"`settings` must be a mapping by name, got {values!r}.")
+            config = cls.of(**values)
+            for name, default in config.to_json().items():
+                if name not in values:
+                    raise ValueError(f"`{name}` must be there, such as {default!r}, got nothing.")
         except (TypeError, ValueError) as error:
             raise ValueError(f"{source}: {error}") from error
+        return config
 
     def changes(self) -> dict[str, Any]:
         """Settings that differ from the default, by their flat names, as JSON knows them."""
@@ -214,26 +234,64 @@ class Config(Group):
 
 
 def _preset(name: str) -> dict[str, Any]:
-    if name not in PRESETS:
+    if not isinstance(name, str) or name not in PRESETS:
         raise ValueError(f"`preset` must be one of {', '.join(PRESETS)}, got {name!r}.")
     return PRESETS[name]
 
 
-def _switched(bonus: BonusConfig, kind: str | BonusConfig) -> BonusConfig:
+def _switched(bonus: BonusConfig, kind: Any) -> BonusConfig:
     """Another bonus, with the settings that both have as they were."""
     if isinstance(kind, BonusConfig):
         return kind
+    if not isinstance(kind, str):
+        raise TypeError(f"`bonus` must be a name or a BonusConfig, got {kind!r}.")
     other: BonusConfig = bonus_config(kind)
     shared = flat(other).keys() & flat(bonus).keys()
     return override(other, **{name: flat(bonus)[name].value for name in shared})
 
 
-def _check_device(device: str) -> None:
-    device_type = device.split(":")[0]
-    if device_type not in ("cpu", "cuda"):
-        raise ValueError(f"`device` must be cpu or cuda, got {device!r}.")
-    if device_type == "cuda" and not torch.cuda.is_available():
-        raise ValueError(f"`device` must be one that torch can use here, got {device!r}.")
+def _check_course(config: Config) -> None:
+    """Refuse a course in which nothing is ever learned, or a replay that holds no batch."""
+    run, num_envs = config.run, config.environment.num_envs
+    if run.learning_starts >= run.total_steps:
+        raise ValueError(
+            f"`total_steps` must be above `learning_starts` ({run.learning_starts}), or "
+            f"nothing is ever learned, got {run.total_steps}."
+        )
+    begins = math.ceil(run.learning_starts / num_envs) * num_envs
+    if begins >= run.total_steps:
+        raise ValueError(
+            f"`total_steps` must be above {begins}, where {num_envs} environments begin to learn, "
+            f"got {run.total_steps}."
+        )
+    steps = math.ceil((run.total_steps - begins) / num_envs) * num_envs
+    if Fraction(str(run.update_to_data)) * steps < 1:
+        raise ValueError(
+            f"`update_to_data` must call for an update in the {steps} steps of learning, "
+            f"got {run.update_to_data}."
+        )
+    if run.replay_capacity < max(run.batch_size, num_envs):
+        raise ValueError(
+            f"`replay_capacity` must be at least `batch_size` ({run.batch_size}) and `num_envs` "
+            f"({num_envs}), got {run.replay_capacity}."
+        )
+    if config.agent.actor_stride > run.batch_size:
+        raise ValueError(
+            f"`actor_batch_fraction` must leave a row of `batch_size` ({run.batch_size}), "
+            f"got {config.agent.actor_batch_fraction}."
+        )
+
+
+def _check_device(name: str) -> None:
+    try:
+        device = torch.device(name)
+    except RuntimeError:  # whose message lists every device that torch was ever built for
+        device = None
+    if device is None or device.type not in ("cpu", "cuda") or name.startswith("cpu:"):
+        raise ValueError(f"`device` must be cpu or cuda, got {name!r}.")
+    there = torch.cuda.device_count() if torch.cuda.is_available() else 0
+    if device.type == "cuda" and (device.index or 0) >= there:
+        raise ValueError(f"`device` must be one that torch can use here, got {name!r}.")
 
 
 def _refuse_idle_settings(config: Config) -> None:
@@ -245,25 +303,53 @@ def _refuse_idle_settings(config: Config) -> None:
     if config.run.init_replay and config.run.init_from is None:
         raise ValueError("`init_replay` must be left out without `init_from`, got True.")
     if config.bonus.kind == "none":
-        if config.agent.is_conditioned:
-            raise ValueError(
-                "`hunger` must be a number or a schedule without a bonus, "
-                f"got {config.agent.hunger}."
-            )
-        for own in fields(CuriosityValueConfig):
-            value = getattr(config.agent.curiosity, own.name)
-            if value != own.default:
-                name = own.metadata.get("name", own.name)
-                raise ValueError(f"`{name}` must be left out without a bonus, got {value!r}.")
+        _refuse_settings_of_curiosity(config.agent)
     ends = config.agent.curiosity.ends
     if ends is not None and ends >= config.run.total_steps:
         raise ValueError(
             f"`curiosity_ends` must be below `total_steps` ({config.run.total_steps}), got {ends}."
         )
+    if ends is not None and ends <= config.run.learning_starts:
+        raise ValueError(
+            f"`curiosity_ends` must be above `learning_starts` ({config.run.learning_starts}), "
+            f"before which nothing is learned, got {ends}."
+        )
     if config.environment.num_envs == 1 and config.environment.vectorization != "auto":
         raise ValueError(
             "`vectorization` must be left out for a single environment, "
             f"got {config.environment.vectorization!r}."
+        )
+    _refuse_idle_switches(config)
+
+
+def _refuse_settings_of_curiosity(agent: AgentConfig) -> None:
+    """Refuse what is about a bonus where there is none."""
+    if agent.is_conditioned or agent.hunger == 0:
+        raise ValueError(
+            "`hunger` must be a positive number or a schedule without a bonus, "
+            f"got {agent.hunger}."
+        )
+    for own in fields(CuriosityValueConfig):
+        value = getattr(agent.curiosity, own.name)
+        if value != own.default:
+            name = own.metadata.get("name", own.name)
+            raise ValueError(f"`{name}` must be left out without a bonus, got {value!r}.")
+
+
+def _refuse_idle_switches(config: Config) -> None:
+    """Refuse a switch of the compiler or of the policy that is off where it is not used."""
+    speed = config.speed
+    for name in ("direct_matmul", "deduplicate"):
+        if speed.compile == "off" and not getattr(speed, name):
+            raise ValueError(f"`{name}` must be left out where `compile` is off, got False.")
+    if speed.device != "cpu" and not speed.direct_matmul:
+        raise ValueError(
+            f"`direct_matmul` must be left out where `device` is {speed.device}, got False."
+        )
+    if not speed.numpy_policy and (config.environment.num_envs > 1 or speed.device != "cpu"):
+        raise ValueError(
+            "`numpy_policy` must be left out unless a single environment is stepped on the cpu, "
+            f"got False for {config.environment.num_envs} on {speed.device}."
         )
 
 
@@ -276,4 +362,48 @@ def config_key(values: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
+def merge_config(wanted: Config, own: Config) -> Config:
+    """Settings with which a run goes on: its own, but for those that it may change.
+
+    Args:
+        wanted: With which it is to go on; `matmul_precision` may be left to the run by "auto".
+        own: Of the run.
+
+    Raises:
+        ValueError: If another setting is wanted than the run has and may change.
+    """
+    there, here = own.to_json(), wanted.to_json()
+    for name in dict.fromkeys(("bonus", *there, *here)):
+        values = there.get(name), here.get(name)
+        if name not in ("out", *CHANGEABLE) and values[0] != values[1]:
+            raise ValueError(
+                f"`{name}` must stay as the run in {own.run.out} has it, {values[0]!r}, "
+                f"got {values[1]!r}."
+            )
+    changed = {name: here[name] for name in CHANGEABLE}
+    if changed["matmul_precision"] == "auto":
+        del changed["matmul_precision"]
+    return own.override(**changed)
+
+
 IGNORED = ("out", "matmul_precision")  # the last is chosen anew by the clock
+LEARNING_STAYS = (
+    "log_interval",
+    "evaluation_interval",
+    "evaluation_episodes",
+    "checkpoint_interval",
+    "keep_memory",
+)
+"""Settings that a continued run may change, and learns bit for bit as it would have."""
+ROUNDING_CHANGES = (
+    "device",
+    "threads",
+    "compile",
+    "matmul_precision",
+    "direct_matmul",
+    "deduplicate",
+    "numpy_policy",
+)
+"""Settings that a continued run may change, and computes the same with other rounding."""
+CHANGEABLE = ("total_steps", *LEARNING_STAYS, *ROUNDING_CHANGES)
+"""All that a continued run may change."""

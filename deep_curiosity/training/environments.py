@@ -407,4 +407,3 @@ def _import_tasks(module: str, env_id: str) -> None:
             f"`env_id` must name a module that can be imported (is its folder in PYTHONPATH?), "
             f"got {env_id!r}: {error}."
         ) from error
-

@@ -254,7 +254,7 @@ class Learner:
         self._last_hunger = []
         self.replay.load_state_dict(state["replay"])
         torch.set_rng_state(state["random"]["cpu"])
-        if "cuda" in state["random"]:
+        if "cuda" in state["random"] and self.device.type == "cuda":
             torch.cuda.set_rng_state(state["random"]["cuda"], self.device)
 
     def _make_numpy_policies(self) -> tuple[NumpyPolicy, NumpyPolicy] | None:

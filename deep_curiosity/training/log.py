@@ -46,10 +46,24 @@ def read_values(folder: Path) -> dict[str, Any]:
 
     Raises:
         FileNotFoundError: If the folder holds no run.
+        ValueError: If the file does not hold settings by their names.
     """
-    if not (folder / CONFIG).exists():
+    path = folder / CONFIG
+    if not path.exists():
         raise FileNotFoundError(f"a run must have a {CONFIG}, got {folder}, which has none.")
-    values: dict[str, Any] = json.loads((folder / CONFIG).read_text())
+    try:
+        values = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_once_each)
+        if not isinstance(values, dict):
+            raise ValueError(f"not by name: {values!r}")
+    except (RecursionError, ValueError) as error:  # no text, no JSON
+        raise ValueError(f"`{CONFIG}` must hold settings in JSON, got {path}: {error}.") from error
+    return values
+
+
+def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    values = dict(pairs)
+    if len(values) < len(pairs):
+        raise ValueError(f"a name twice among {', '.join(name for name, _ in pairs)}")
     return values
 
 

@@ -35,7 +35,7 @@ def train(
     Args:
         config: Settings of the run.
         resume: Continue the run in the folder `out`, which must have the same settings but for
-            `total_steps`; see also `continue_run`.
+            those of `CHANGEABLE` in `training/config.py`; see also `continue_run`.
         hunger: Says how hungry the agent is before every step, in training as in evaluations: from
             the observations, `(num_envs, observation_dim)`, and the `info` that came with them, to
             one number, or one for each environment; in [0, 1] where the agent is conditioned on
@@ -123,6 +123,7 @@ def continue_run(
     hunger: HungerFunction | None = None,
     make_env: MakeEnv | None = None,
     show_progress: bool = True,
+    **settings: Any,
 ) -> dict[str, Any]:
     """Continue the run in a folder, in place.
 
@@ -132,16 +133,21 @@ def continue_run(
         hunger: As in `train`.
         make_env: As in `train`.
         show_progress: As in `train`.
+        **settings: What else is to change: intervals, `evaluation_episodes`, which leave what is
+            learned as it is; `device`, `threads`, `compile` and other switches of speed, which
+            round otherwise.
 
     Returns:
         The summary of the run.
 
     Raises:
         FileNotFoundError: If the folder holds no run.
+        TypeError: If there is no such setting, or a value has the wrong type.
+        ValueError: If the run cannot go on with a setting, naming it and both values.
     """
-    config = read_config(Path(folder))
     if total_steps is not None:
-        config = config.override(total_steps=total_steps)
+        settings["total_steps"] = total_steps
+    config = read_config(Path(folder)).override(**settings)
     return train(
         config, resume=True, hunger=hunger, make_env=make_env, show_progress=show_progress
     )

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from deep_curiosity.agent.config import ConditionedHunger
 from deep_curiosity.agent.sac import CuriousSAC
+from deep_curiosity.arguments import check_folder
 from deep_curiosity.requirements import require
 from deep_curiosity.training.checkpoint import load_checkpoint
 from deep_curiosity.training.collector import Collector, Episode, as_batch
@@ -83,6 +84,21 @@ def record_episode(
         if not finished:
             frames.append(_frame(environment))
     return frames
+
+
+def check_video(path: Path | None) -> None:
+    """Refuse a video that could not be written, before anything is played.
+
+    Raises:
+        ImportError: If imageio is missing.
+        ValueError: If it is no file of a known format, or its folder cannot be one.
+    """
+    if path is None:
+        return
+    require("imageio", extra="video")
+    check_folder("video", path.parent)
+    if path.suffix not in (".mp4", ".gif") or path.is_dir():
+        raise ValueError(f"`video` must be a file .mp4 or .gif, got {path}.")
 
 
 def write_video(path: Path, frames: list[NDArray[np.uint8]], *, fps: int) -> None:

@@ -21,11 +21,19 @@ import torch
 from torch import Tensor
 
 from deep_curiosity import __version__
+from deep_curiosity.schedules import Schedule
 from deep_curiosity.speed.machine import fitted_machine
 from deep_curiosity.speed.precision import matmul_error
 from deep_curiosity.training.checkpoint import load_checkpoint, save_checkpoint
 from deep_curiosity.training.collector import Collector, evaluate
-from deep_curiosity.training.config import IGNORED, Config, EnvironmentConfig
+from deep_curiosity.training.config import (
+    CHANGEABLE,
+    LEARNING_STAYS,
+    ROUNDING_CHANGES,
+    Config,
+    EnvironmentConfig,
+    merge_config,
+)
 from deep_curiosity.training.environments import (
     MADE_BY_FUNCTION,
     MakeEnv,
@@ -37,7 +45,7 @@ from deep_curiosity.training.environments import (
     task_spaces,
 )
 from deep_curiosity.training.hunger import HungerFunction
-from deep_curiosity.training.learner import Learner, compiles_from
+from deep_curiosity.training.learner import Learner, compiles, compiles_from
 from deep_curiosity.training.log import (
     CONFIG,
     SUMMARY,
@@ -98,6 +106,7 @@ class Run:
             seed=EVALUATION_SEED,
         )
         self.run_log.evaluations.extend(episodes)
+        self.run_log.latest_evaluation = len(episodes)
         self.log.scalars(self.run_log.step, self._latest_evaluation())
 
     def progress(self, metrics: dict[str, Tensor]) -> dict[str, float]:
@@ -122,7 +131,8 @@ class Run:
         return values
 
     def _latest_evaluation(self) -> dict[str, float]:
-        episodes = self.run_log.evaluations[-self.config.run.evaluation_episodes :]
+        evaluations = self.run_log.evaluations
+        episodes = evaluations[len(evaluations) - self.run_log.latest_evaluation :]
         return {
             "eval/return": _number(mean_return(episodes, num_recent=len(episodes))),
             "eval/success_rate": _number(
@@ -187,7 +197,8 @@ def open_run(
     """
     config = with_make_env(config, make_env)
     if resume:
-        config = merge_config(config, read_config(config.run.out))
+        own = read_config(config.run.out)
+        config = merge_config(config, own)
     with ExitStack() as stack:
         precision = stack.enter_context(fitted_machine(config.speed))
         speed = replace(config.speed, matmul_precision=precision)  # kept when resumed
@@ -202,6 +213,8 @@ def open_run(
         stack.callback(collector.environment.close)
         if resume:
             run_log = _restore(config.run.out, learner, collector)
+            _check_remaining(config, own, run_log.step)
+            _print_changes(config, own)
             write_json(config.run.out / CONFIG, config.to_json())
         else:
             run_log = RunLog()
@@ -235,21 +248,37 @@ def make_collector(config: Config, make_env: MakeEnv | None = None) -> Collector
     return Collector(make(config.environment, **_own(make_env)), config.run.seed)
 
 
-def merge_config(wanted: Config, own: Config) -> Config:
-    """Settings with which a run goes on: its own, but for `total_steps`, which may be changed.
+def _check_remaining(config: Config, own: Config, taken: int) -> None:
+    """Refuse to continue a run to where it has been, and say where nothing is left to do."""
+    total_steps = config.run.total_steps
+    if total_steps < taken and total_steps != own.run.total_steps:
+        raise ValueError(
+            f"`total_steps` must be at least {taken}, which the run in {own.run.out} has already "
+            f"taken, got {total_steps}."
+        )
+    if total_steps <= taken:
+        print(f"All {taken} steps of the run in {own.run.out} are taken", flush=True)
 
-    Raises:
-        ValueError: If another setting is wanted than the run has.
-    """
-    there, here = own.to_json(), wanted.to_json()
-    for name in dict.fromkeys(("bonus", *there, *here)):
-        values = there.get(name), here.get(name)
-        if name not in (*IGNORED, "total_steps") and values[0] != values[1]:
-            raise ValueError(
-                f"`{name}` must stay as the run in {own.run.out} has it, {values[0]!r}, "
-                f"got {values[1]!r}."
-            )
-    return own.override(total_steps=wanted.run.total_steps)
+
+def _print_changes(config: Config, own: Config) -> None:
+    """Say which settings of a continued run are others than before, and what comes of it."""
+    before, now = own.to_json(), config.to_json()
+    for name in CHANGEABLE:
+        if now[name] == before[name]:
+            continue
+        if name in LEARNING_STAYS:
+            effect = "what is learned stays exactly what it would have been"
+        elif name in ROUNDING_CHANGES or compiles(config) != compiles(own):
+            effect = "from here on results are rounded otherwise than they would have been"
+        elif _follows_schedule(config):
+            effect = "schedules are stretched over all steps, and go on from another value"
+        else:
+            effect = "the run goes on exactly as if it had been so from the start"
+        print(f"`{name}` is {now[name]}, it was {before[name]}: {effect}", flush=True)
+
+
+def _follows_schedule(config: Config) -> bool:
+    return any(isinstance(value, Schedule) for value in vars(config.agent).values())
 
 
 def _print_machine(config: Config) -> None:

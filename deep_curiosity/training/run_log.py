@@ -21,7 +21,9 @@ class RunLog:
     episodes: list[Episode] = field(default_factory=list)
     """Of training."""
     evaluations: list[Episode] = field(default_factory=list)
-    """Of evaluation; always whole batches of `evaluation_episodes`."""
+    """Of evaluation."""
+    latest_evaluation: int = 0
+    """Episodes of the newest evaluation, the last of all."""
     first_success_step: int | None = None
     cells: dict[int, int] = field(default_factory=dict)
     """Visited cell to the step at which it was first visited."""

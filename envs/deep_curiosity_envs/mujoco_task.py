@@ -248,6 +248,6 @@ def make_renderer(model: mujoco.MjModel) -> "mujoco.Renderer":  # which may be m
         return mujoco.Renderer(model, *IMAGE_SIZE)
     except Exception as error:  # each OpenGL backend fails with exceptions of its own
         raise RuntimeError(
-            "MuJoCo could not start OpenGL. Set the environment variable MUJOCO_GL=egl or "
-            "MUJOCO_GL=osmesa before Python starts, with that library installed."
+            "MuJoCo could not start OpenGL. `MUJOCO_GL` must be set to egl or osmesa "
+            "before Python starts, with that library installed, where there is no screen."
         ) from error

@@ -65,7 +65,8 @@ def test_a_greedy_policy_is_hungry_where_the_agent_is_not():
 @pytest.mark.parametrize("curiosity_discount", [0.0, 0.5])
 def test_each_value_is_about_a_policy_of_its_own(curiosity_discount):
     """Reward's about the greedy policy, curiosity's about the curious one."""
-    agent = greedy_agent(curiosity_estimate="min", curiosity_discount=curiosity_discount)
+    estimate = {"curiosity_estimate": "min"} if curiosity_discount else {}
+    agent = greedy_agent(curiosity_discount=curiosity_discount, **estimate)
     make_narrow(agent.policy)
     observation = torch.randn(5, 3)
     value = agent._next_values(observation, torch.tensor(1.0))

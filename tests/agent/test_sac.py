@@ -1,5 +1,6 @@
 import io
 import math
+import re
 from copy import deepcopy
 
 import pytest
@@ -7,7 +8,7 @@ import torch
 from torch.distributions import Independent, Normal, TransformedDistribution
 from torch.distributions.transforms import TanhTransform
 
-from deep_curiosity.agent.config import AgentConfig, ConditionedHunger
+from deep_curiosity.agent.config import TEMPERATURES, AgentConfig, ConditionedHunger
 from deep_curiosity.agent.sac import CuriousSAC
 from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.bonuses.baselines import ConstantBonus
@@ -490,7 +491,7 @@ def test_hunger_and_temperature_read_back_what_was_set():
 
 
 @pytest.mark.parametrize("prior", ["uniform", "learned"])
-@pytest.mark.parametrize(("target", "sign"), [(-50.0, 1), (50.0, -1)])
+@pytest.mark.parametrize(("target", "sign"), [(1e-3, 1), (20.0, -1)])
 def test_a_tuned_temperature_rises_while_the_rate_is_above_target(prior, target, sign):
     agent = plain_agent(prior=prior, target_information_rate=target)
     prices = [agent.temperature]
@@ -499,6 +500,32 @@ def test_a_tuned_temperature_rises_while_the_rate_is_above_target(prior, target,
         assert (rate - target) * sign > 0
         prices.append(agent.temperature)
     assert prices == sorted(prices, reverse=sign < 0) and len(set(prices)) == 4
+
+
+@pytest.mark.parametrize("curiosity_discount", [0.0, 0.9])
+@pytest.mark.parametrize("prior", ["uniform", "learned"])
+@pytest.mark.parametrize(("target", "end"), [(1e-9, 1), (20.0, 0)])
+def test_a_rate_out_of_reach_holds_the_temperature_where_float32_has_its_terms(
+    prior, target, end, curiosity_discount
+):
+    agent = small_agent(
+        prior=prior,
+        target_information_rate=target,
+        temperature=TEMPERATURES[end],
+        curiosity_discount=curiosity_discount,
+    )
+    for _ in range(30):
+        metrics = agent.update(random_transition(), ConstantBonus(0.1))
+        assert all(value.isfinite() for value in metrics.values())
+    assert agent.temperature == pytest.approx(TEMPERATURES[end], rel=1e-5)
+    assert all(parameter.isfinite().all() for parameter in agent.parameters())
+
+
+def test_a_temperature_comes_back_from_where_it_was_held():
+    agent = plain_agent(target_information_rate=20.0, temperature=TEMPERATURES[1])
+    for _ in range(5):
+        agent.update(random_transition())
+    assert 0 < agent.temperature < 0.999 * TEMPERATURES[1]
 
 
 def test_a_fixed_temperature_stays():
@@ -736,17 +763,36 @@ def test_a_bonus_for_an_agent_without_curiosity_is_rejected():
         ("actor_batch_fraction", 0.0),
         ("actor_batch_fraction", 0.4),
         ("target_information_rate", math.nan),
+        ("target_information_rate", 0.0),
+        ("target_information_rate", -3.0),
+        ("target_information_rate", 20.5),
+        ("temperature", 1e-11),
+        ("temperature", "linear:1:1e11"),
+        ("hunger", 1e7),
+        ("hunger", "linear:1:1e7"),
+        ("learning_rate", 1e-10),
+        ("curiosity_coefficient", 1e7),
     ],
 )
 def test_what_is_out_of_range_is_rejected_by_name_and_value(name, value):
-    with pytest.raises(ValueError, match=rf"`{name}`.*got {value}"):
+    shown = re.escape(str(float(str(value).rpartition(":")[2])))
+    with pytest.raises(ValueError, match=rf"`{name}`.*got {shown}"):
         small_agent(**{name: value})
 
 
-@pytest.mark.parametrize(("name", "value"), [("hunger", -1.0), ("temperature", 0.0)])
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("hunger", -1.0),
+        ("hunger", 1e39),
+        ("temperature", 0.0),
+        ("temperature", 1e-300),
+        ("temperature", 1e300),
+    ],
+)
 def test_hunger_and_temperature_set_out_of_range_are_rejected_and_stay(name, value):
     agent = small_agent()
-    with pytest.raises(ValueError, match=rf"`{name}`.*got {value}"):
+    with pytest.raises(ValueError, match=rf"`{name}`.*got {re.escape(str(value))}"):
         setattr(agent, name, value)
     assert getattr(agent, name) == 1
 

@@ -38,6 +38,16 @@ def test_the_weight_stays_within_a_thousand():
     assert after(weight, [0.0]) == pytest.approx(math.exp(LOG_RANGE))
 
 
+@pytest.mark.parametrize("goal", [None, 1.0])
+@pytest.mark.parametrize("earned", [math.nan, math.inf, -math.inf, 3e38])
+@pytest.mark.parametrize("first", [[], [0.5]])
+def test_the_weight_outlives_what_is_not_finite(goal, earned, first):
+    weight = TunedWeight(goal=goal, learning_rate=0.1)
+    assert math.isfinite(after(weight, [*first, earned, -3e38]))
+    assert 0.999e-3 < after(weight, [0.5] * 5) < 1.001e3
+    assert weight.past.isfinite()
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

@@ -75,15 +75,75 @@ def test_a_cut_off_run_is_continued(small_study, tmp_path):
 
 def test_settings_of_all_runs_can_be_overridden(small_study, tmp_path):
     study = overridden(small_study, {"total_steps": 24, "hidden_dim": 8})
-    configs = [cell.config for cell in cells_of(study, tmp_path)]
+    configs = [cell.config for cell in cells_of(study, tmp_path / "runs")]
     assert {(c.run.total_steps, c.agent.hidden_dim) for c in configs} == {(24, 8)}
     assert {c.bonus.kind for c in configs} == {"curiosity", "none"}
 
 
-def test_a_setting_that_does_not_exist_is_refused_before_anything_runs(small_study, tmp_path):
-    study = replace(small_study, agents={"odd": {"novelty": 1.0}})
-    with pytest.raises(TypeError, match="`novelty` is no setting here"):
-        run_study(study, runs=tmp_path / "runs", out=tmp_path / "out")
+@pytest.mark.parametrize(
+    ("changes", "error", "message"),
+    [
+        (
+            {"agents": {"odd": {"novelty": 1.0}}},
+            TypeError,
+            "agent 'odd' on pendulum: `novelty` is",
+        ),
+        ({"agents": {"odd": {"seed": -1}}}, ValueError, "agent 'odd' .*: `seed` must not be neg"),
+        ({"agents": {}}, ValueError, r"`agents` must have names, each of its own, got \[\]"),
+        ({"agents": {0.5: {}, "0.5": {}}}, ValueError, "`agents` must have names, each of its"),
+        ({"tasks": []}, ValueError, r"`tasks` must have names, each of its own, got \[\]"),
+        ({"seeds": 0}, ValueError, "`seeds` must be at least 1, got 0"),
+        ({"first_seed": -1}, ValueError, "`first_seed` must not be negative, got -1"),
+    ],
+    ids=str,
+)
+def test_a_study_that_could_not_run_is_refused_before_anything_does(
+    small_study, changes, error, message
+):
+    with pytest.raises(error, match=message):
+        replace(small_study, **changes)
+
+
+@pytest.mark.parametrize(
+    ("values", "error", "message"),
+    [
+        ({"seed": 3}, ValueError, "`seed` must be left to the study, .* got 3"),
+        ({"out": "a"}, ValueError, "`out` must be left to the study"),
+        ({"hidden_dmi": 8}, TypeError, "the nearest is hidden_dim"),
+        ({"total_steps": 10}, ValueError, "`total_steps` must be above `learning_starts`"),
+    ],
+    ids=str,
+)
+def test_what_a_study_chooses_or_could_not_run_with_is_no_setting_of_all(
+    small_study, values, error, message
+):
+    with pytest.raises(error, match=message):
+        overridden(small_study, values)
+
+
+def test_a_setting_that_every_agent_changes_is_none_of_all(small_study):
+    study = replace(small_study, agents={"a": {"hidden_dim": 8}, "b": {"hidden_dim": 16}})
+    with pytest.raises(ValueError, match="`hidden_dim` must be left to the study"):
+        overridden(study, {"hidden_dim": 32})
+
+
+def test_the_name_of_the_table_may_have_a_point(small_study, tmp_path):
+    with ThreadPoolExecutor(1) as executor:
+        for name in ("rate-0.25", "rate-0.5"):
+            study = replace(small_study, seeds=1, agents={"none": {"bonus": "none"}})
+            out = tmp_path / name
+            run_study(study, runs=tmp_path / "runs", out=out, executor=executor)
+    for name in ("rate-0.25", "rate-0.5"):
+        assert {f"{name}{suffix}" for suffix in (".csv", ".md", ".png")} <= {
+            path.name for path in tmp_path.iterdir()
+        }
+
+
+def test_a_run_whose_settings_cannot_be_read_is_passed_over(small_study, tmp_path):
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "config.json").write_bytes(b"\0\0")
+    with pytest.warns(UserWarning, match=r"other is passed over: `config.json` must hold"):
+        assert len(cells_of(small_study, tmp_path / "runs")) == 4
 
 
 def test_the_first_agent_is_compared_with_each_other(make_rows):
@@ -99,10 +159,12 @@ def test_a_part_of_a_study_is_named_by_tasks_and_agents(small_study):
     assert [task.name for task in part.tasks] == ["other"]
     assert list(part.agents) == ["none"]
     assert part_of(small_study, [], []) == small_study
-    with pytest.raises(ValueError, match="`agents` must be of the study, got nobody"):
+    with pytest.raises(ValueError, match=r"`agents` must be of the study, .*none, got nobody"):
         part_of(small_study, [], ["nobody"])
+    with pytest.raises(ValueError, match="`tasks` must be named once each, got other, other"):
+        part_of(small_study, ["other", "other"], [])
 
 
 def test_seeds_begin_where_a_study_says(small_study, tmp_path):
-    cells = cells_of(replace(small_study, first_seed=100), tmp_path)
+    cells = cells_of(replace(small_study, first_seed=100), tmp_path / "runs")
     assert sorted({cell.seed for cell in cells}) == [100, 101]

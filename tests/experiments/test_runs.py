@@ -47,8 +47,11 @@ def test_the_area_is_of_scheduled_evaluations_alone(tiny, monkeypatch):
 
 def test_another_library_s_result_is_kept_and_one_of_other_settings_refused(tiny, tmp_path):
     def cell(settings):
-        study = Study([Task("maze", tiny)], {"theirs": settings})
+        study = Study([Task("maze", tiny)], {"theirs": settings}, run=run_theirs)
         return Cell(study, study.tasks[0], "theirs", 3, tmp_path / "cell")
+
+    def run_theirs(cell):
+        return run_foreign(cell, trained)
 
     calls = []
 

@@ -8,10 +8,9 @@ from deep_curiosity.agent.config import ConditionedHunger
 from deep_curiosity.bonuses.config import BONUS_CONFIGS
 from deep_curiosity.configuration import flat
 from deep_curiosity.schedules import Schedule
-from deep_curiosity.training.command_line import COMMON, help_of, parse
+from deep_curiosity.training.command_line import COMMON, help_of, parse, read_settings
 from deep_curiosity.training.config import PRESETS, Config
 from deep_curiosity.training.log import open_folder
-from deep_curiosity.training.run import merge_config
 
 
 def read(*arguments):
@@ -142,7 +141,11 @@ def test_a_bonus_has_none_of_the_settings_of_another(capsys):
     [
         (["--bonus", "luck"], "curiosity"),
         (["--preset", "slow"], "paper"),
-        (["--hidden-dim", "wide"], "int"),
+        (["--hidden-dim", "wide"], "it must be a whole number, got 'wide'"),
+        (["--seed", "1.5"], "it must be a whole number, got '1.5'"),
+        (["--learning-rate", "fast"], "it must be a number, got 'fast'"),
+        (["--out", ""], "it must be a path, got ''"),
+        (["--totl-steps", "60"], "--total-steps"),
         (["--history", "3"], "--history"),
     ],
     ids=str,
@@ -179,8 +182,82 @@ def test_a_run_is_continued_with_its_own_settings(run):
 
 @pytest.mark.parametrize("total_steps", [20_000, 700])
 def test_a_continued_run_obeys_its_number_of_steps_even_the_default(run, total_steps):
-    config = read("--resume", run, "--total-steps", total_steps)
-    assert merge_config(config, read("--resume", run)).run.total_steps == total_steps
+    assert read("--resume", run, "--total-steps", total_steps).run.total_steps == total_steps
+
+
+@pytest.mark.parametrize(
+    ("arguments", "changed"),
+    [
+        (["--log-interval", 500], {"log_interval": 500}),
+        (["--log-interval", 20, "--evaluation-interval", 40], None),
+        (["--evaluation-episodes", 3, "--checkpoint-interval", 7], None),
+        (["--threads", 2, "--compile", "off", "--matmul-precision", "high"], None),
+        (["--no-direct-matmul", "--no-keep-memory"], None),
+        (["--hidden-dim", 16, "--seed", 5, "--preset", "exact"], {}),
+    ],
+    ids=str,
+)
+def test_a_continued_run_takes_what_is_safe_to_change_and_what_it_has(run, arguments, changed):
+    if changed is None:
+        words = " ".join(map(str, arguments)).replace("--no-", "--").split("--")[1:]
+        pairs = [word.strip().replace("-", "_").partition(" ") for word in words]
+        changed = {name: int(text) if text.isdecimal() else text for name, _, text in pairs}
+        changed = {name: False if value == "" else value for name, value in changed.items()}
+    own = read("--resume", run)
+    assert read("--resume", run, *arguments) == own.override(**changed)
+
+
+def test_a_continued_run_is_told_the_default_preset_apart_from_none(run):
+    with pytest.raises(ValueError, match=r"`refresh_interval` must stay .* 10, got 20"):
+        read("--resume", run, "--preset", "fast")
+
+
+def test_a_continued_run_stays_in_its_folder(run, tmp_path):
+    assert read("--resume", run, "--out", run).run.out == run
+    with pytest.raises(ValueError, match="`out` must be left out where a run is continued"):
+        read("--resume", run, "--out", tmp_path / "other")
+    with pytest.raises(ValueError, match="`out` must be left out where a run is continued"):
+        read("--resume", run, "--out", "runs/latest")  # the default
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--seed", 1, "--seed", 2], "`seed` must be given once, got --seed 2 times"),
+        (["--bonus", "rnd", "--bonus=icm"], "`bonus` must be given once"),
+        (["--hidden_dim", 8, "--hidden-dim", 8], "`hidden_dim` must be given once"),
+        (["--direct-matmul", "--no-direct-matmul"], "`direct_matmul` must be given once"),
+    ],
+    ids=str,
+)
+def test_an_option_that_is_given_twice_is_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        read(*arguments)
+
+
+def test_a_folder_that_is_a_file_is_refused(tmp_path):
+    file = tmp_path / "file"
+    file.touch()
+    for option in ("--out", "--resume"):
+        for path in (file, file / "run"):
+            with pytest.raises(ValueError, match=rf"`{option[2:]}` must be a folder, got .*file"):
+                read(option, path)
+
+
+def test_settings_are_read_from_pairs_as_python_or_as_text():
+    pairs = ["total_steps=500", "hunger=linear:1:10", "features=(0, -1)", "compile=off", "a=1=2"]
+    assert read_settings(pairs) == {
+        "total_steps": 500,
+        "hunger": "linear:1:10",
+        "features": (0, -1),
+        "compile": "off",
+        "a": "1=2",
+    }
+    assert read_settings(["deep=" + "(" * 5_000])["deep"] == "(" * 5_000
+    with pytest.raises(ValueError, match="`set` must be written as name=value, got 'seed'"):
+        read_settings(["seed"])
+    with pytest.raises(ValueError, match="`set` must name a setting once, got 'seed' twice"):
+        read_settings(["seed=1", "seed=2"])
 
 
 @pytest.mark.parametrize(
@@ -195,9 +272,8 @@ def test_a_continued_run_obeys_its_number_of_steps_even_the_default(run, total_s
     ids=str,
 )
 def test_a_continued_run_is_refused_other_settings_by_name(run, arguments, message):
-    config = read("--resume", run, *arguments)
     with pytest.raises(ValueError, match=message):
-        merge_config(config, read("--resume", run))
+        read("--resume", run, *arguments)
 
 
 def test_a_folder_without_a_run_is_named():

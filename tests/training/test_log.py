@@ -1,4 +1,5 @@
 import json
+import math
 from pathlib import Path
 
 import pytest
@@ -37,6 +38,56 @@ def test_a_folder_without_settings_or_with_others_is_named(tmp_path):
         read_config(tmp_path)
     write_json(tmp_path / CONFIG, {"history": 3})
     with pytest.raises(ValueError, match=r"config\.json: `history` is no setting here"):
+        read_config(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"hiden_dim": 8}, "`hiden_dim` is no setting here, the nearest is hidden_dim"),
+        ({"self": 1}, "`self` is no setting here"),
+        ({"preset": "exact"}, "`preset` is no setting here"),
+        ({"deduplicate": "no"}, "`deduplicate` must be bool, got 'no'"),
+        ({"hidden_dim": "64"}, "`hidden_dim` must be int, got '64'"),
+        ({"hidden_dim": 3.5}, "`hidden_dim` must be int, got 3.5"),
+        ({"hidden_dim": True}, "`hidden_dim` must be int, got True"),
+        ({"hidden_dim": None}, "`hidden_dim` must be int, got None"),
+        ({"hidden_dim": 10**9}, "`hidden_dim` must be at most 16384, got 1000000000"),
+        ({"learning_rate": math.nan}, "`learning_rate` must be finite, got nan"),
+        ({"learning_rate": 10**400}, "`learning_rate` must be finite, got inf"),
+        ({"env_kwargs": {"a": math.inf}}, "`env_kwargs` must be finite, got inf"),
+        ({"features": [1.5]}, "`features` must be tuple"),
+        ({"env_id": "a\0b"}, "`env_id` must have characters, and no NUL"),
+        ({"bonus": None}, "`bonus` must be a name or a BonusConfig, got None"),
+        ({"bonus": "luck"}, "`bonus` must be one of curiosity, .*got 'luck'"),
+    ],
+    ids=str,
+)
+def test_a_file_with_a_setting_that_cannot_be_is_named_with_it(tmp_path, change, message):
+    write_json(tmp_path / CONFIG, Config().to_json() | change)
+    with pytest.raises(ValueError, match=rf"{tmp_path}/config\.json: {message}"):
+        read_config(tmp_path)
+
+
+@pytest.mark.parametrize("name", ["seed", "bonus", "hidden_dim", "noise_floor"])
+def test_a_setting_that_is_missing_in_a_file_is_named(tmp_path, name):
+    values = Config().to_json()
+    del values[name]
+    write_json(tmp_path / CONFIG, values)
+    with pytest.raises(ValueError, match=rf"config\.json: `{name}` must be there, such as"):
+        read_config(tmp_path)
+
+
+@pytest.mark.parametrize(
+    "content",
+    [b"", b"{", b"\0\0\0", b"\xff\xfe", b"[1]", b"null", b'{"seed": 1, "seed": 2}', b"[" * 99_999],
+    ids=lambda content: repr(content[:9]),
+)
+def test_a_file_that_holds_no_settings_is_named(tmp_path, content):
+    (tmp_path / CONFIG).write_bytes(content)
+    with pytest.raises(
+        ValueError, match=rf"`config.json` must hold settings in JSON, got {tmp_path}"
+    ):
         read_config(tmp_path)
 
 

@@ -15,6 +15,7 @@ from deep_curiosity.training import continue_run, loop, train
 from deep_curiosity.training.checkpoint import NEWEST, load_checkpoint
 from deep_curiosity.training.collector import Collector
 from deep_curiosity.training.learner import Learner
+from deep_curiosity.training.log import open_folder, read_config
 
 SUMMARY_KEYS = {
     "env_id",
@@ -251,6 +252,53 @@ def test_a_resumed_run_keeps_its_number_of_steps_unless_another_is_given(tiny):
     choosy = tiny.override(features=(0, -1), bonus_parts={"cross_entropy": 1.0})
     train(choosy, show_progress=False)
     assert continue_run(tiny.run.out, show_progress=False)["total_steps"] == 60
+
+
+def test_a_resumed_run_changes_what_leaves_what_is_learned_as_it_is(tiny, capsys):
+    train(tiny, show_progress=False)
+    capsys.readouterr()
+    changes = {"log_interval": 10, "evaluation_episodes": 2, "checkpoint_interval": 7}
+    changes |= {"numpy_policy": False}
+    summary = continue_run(tiny.run.out, total_steps=80, **changes, show_progress=False)
+    assert summary["total_steps"] == 80
+    assert read_config(tiny.run.out) == tiny.override(total_steps=80, **changes)
+    printed = capsys.readouterr().out
+    assert "`total_steps` is 80, it was 60: the run goes on exactly as if" in printed
+    assert "`log_interval` is 10, it was 20: what is learned stays exactly what" in printed
+    assert "`numpy_policy` is False, it was True: from here on results are rounded oth" in printed
+    evaluations = [row["eval/return"] for row in rows(tiny.run.out)]
+    assert evaluations[-2] != evaluations[-1]  # at 70 still the one episode at 60
+
+
+def test_a_schedule_that_is_stretched_is_said_so(tiny, capsys):
+    train(tiny.override(hunger="linear:1:2"), show_progress=False)
+    continue_run(tiny.run.out, total_steps=80, show_progress=False)
+    assert "`total_steps` is 80, it was 60: schedules are stretched" in capsys.readouterr().out
+
+
+def test_a_run_is_not_continued_to_where_it_has_been(tiny, capsys):
+    train(tiny, show_progress=False)
+    with pytest.raises(ValueError, match=r"`total_steps` must be at least 60, .* got 50"):
+        continue_run(tiny.run.out, total_steps=50, show_progress=False)
+    assert read_config(tiny.run.out) == tiny
+    continue_run(tiny.run.out, show_progress=False)
+    assert f"All 60 steps of the run in {tiny.run.out} are taken" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("changes", "error", "message"),
+    [
+        ({"seed": 4}, ValueError, r"`seed` must stay as the run in .* has it, 0, got 4"),
+        ({"bonus": "rnd"}, ValueError, r"`bonus` must stay .* 'curiosity', got 'rnd'"),
+        ({"frame_stack": 2}, ValueError, r"`frame_stack` must stay .* 1, got 2"),
+        ({"log_intervall": 2}, TypeError, r"the nearest is log_interval"),
+    ],
+    ids=str,
+)
+def test_a_run_is_continued_with_no_other_setting(tiny, changes, error, message):
+    open_folder(tiny)
+    with pytest.raises(error, match=message):
+        continue_run(tiny.run.out, **changes, show_progress=False)
 
 
 def test_a_resumed_run_keeps_its_own_settings(tiny):

@@ -111,10 +111,13 @@ def test_a_collector_has_as_many_environments_as_are_set(tiny):
         collector.environment.close()
 
 
-def test_a_continued_run_may_change_its_number_of_steps_alone():
+def test_a_continued_run_may_change_what_does_not_change_what_is_learned():
     own = Config.of(bonus="rnd", seed=3, total_steps=700)
-    merged = merge_config(own.override(total_steps=900, out="elsewhere"), own)
-    assert merged == own.override(total_steps=900)
+    safe = {"total_steps": 900, "log_interval": 7, "threads": 2, "matmul_precision": "high"}
+    merged = merge_config(own.override(**safe, out="elsewhere"), own)
+    assert merged == own.override(**safe)
+    kept = own.override(matmul_precision="high")
+    assert merge_config(own, kept) == kept  # by "auto", which the clock had chosen
     with pytest.raises(ValueError, match=r"`seed` must stay as the run in .* has it, 3, got 4"):
         merge_config(own.override(seed=4), own)
     with pytest.raises(ValueError, match=r"`bonus` must stay .* 'rnd', got 'icm'"):

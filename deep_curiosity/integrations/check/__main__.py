@@ -3,8 +3,7 @@
 import sys
 
 if __name__ == "__main__":
-    from deep_curiosity.cli import (
-        main,  # here, since integrations know nothing of the layers above
-    )
+    # here, since integrations know nothing of the layers above
+    from deep_curiosity.cli import main
 
     sys.exit(main(["check", *sys.argv[1:]]))
