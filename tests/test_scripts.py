@@ -33,7 +33,7 @@ def test_a_script_is_the_command_of_its_name(monkeypatch, capsys, name):
     assert f"usage: deep-curiosity {name}" in capsys.readouterr().out
     with pytest.raises(SystemExit) as stopped:
         run_here(monkeypatch, f"{name}.py", *MISTAKES[name])
-    assert stopped.value.code == 1
+    assert stopped.value.code == 2
     assert capsys.readouterr().err.startswith("error: ")
 
 

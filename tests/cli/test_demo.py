@@ -33,9 +33,8 @@ def test_an_episode_is_the_same_at_the_same_seed_and_another_at_another(capsys):
     assert {played(seed) for seed in range(8)} != {played(0)}
 
 
-def test_no_episode_is_an_error(capsys):
-    assert main(["demo", "--episodes", "0"]) == 1
-    assert "`episodes` must be at least 1, got 0." in capsys.readouterr().err
+def test_no_episode_is_an_error(refusal):
+    assert "`episodes` must be at least 1, got 0." in refusal("demo", "--episodes", 0)
 
 
 SOLVED = {"maze": 100.0, "pendulum": 20.0, "rover": 20.0}

@@ -10,16 +10,14 @@ from deep_curiosity.cli import main
 from deep_curiosity.training import train
 
 
-def test_a_conditioned_run_is_played_at_several_hungers(tiny, capsys):
+def test_a_conditioned_run_is_played_at_several_hungers(tiny, capsys, refusal):
     train(tiny.override(hunger="random"), show_progress=False)
     capsys.readouterr()
     folder = str(tiny.run.out)
     assert main(["evaluate", folder, "--episodes", "1", "--hunger", "0", "0.5", "1"]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.partition(": return")[0].split()[-1] for line in lines] == ["0", "0.5", "1"]
-    assert main(["evaluate", folder, "--hunger", "2"]) == 1
-    message = "error: `hunger` must lie in [0, 1] where conditioned, got 2.0"
-    assert capsys.readouterr().err.startswith(message)
+    assert "`hunger` must be at most 1, got 2.0" in refusal("evaluate", folder, "--hunger", 2)
 
 
 def test_a_video_is_written_where_something_renders(tiny, tmp_path):
@@ -42,9 +40,8 @@ def test_a_video_is_written_where_something_renders(tiny, tmp_path):
     assert (frames[0] != frames[-1]).any()  # and moves
 
 
-def test_a_missing_video_package_is_asked_for_by_name(tiny, tmp_path, capsys, monkeypatch):
-    train(tiny, show_progress=False)
+def test_a_missing_video_package_is_asked_for_by_name(tmp_path, monkeypatch, refusal):
     monkeypatch.setitem(sys.modules, "imageio", None)
-    arguments = ["evaluate", str(tiny.run.out), "--episodes", "1", "--video", "film.gif"]
-    assert main(arguments) == 1
-    assert "pip install 'deep-curiosity[video]'" in capsys.readouterr().err
+    for command in (["evaluate", tmp_path], ["demo"]):
+        answer = refusal(*command, "--video", tmp_path / "film.gif")
+        assert "pip install 'deep-curiosity[video]'" in answer

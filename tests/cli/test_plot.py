@@ -18,7 +18,6 @@ def test_runs_become_a_picture_and_a_page(tiny, tmp_path, capsys):
 
 
 @pytest.mark.parametrize("arguments", [["no/such"], [".", "--tags", "agent/luck"]], ids=str)
-def test_what_cannot_be_drawn_is_answered_in_one_line(arguments, tmp_path, monkeypatch, capsys):
+def test_what_cannot_be_drawn_is_answered_in_one_line(arguments, tmp_path, monkeypatch, refusal):
     monkeypatch.chdir(tmp_path)
-    assert main(["plot", *arguments]) == 1
-    assert capsys.readouterr().err.startswith("error: `runs` must be folders of runs, got ")
+    assert refusal("plot", *arguments).startswith("error: `runs` must be folders of runs, got ")

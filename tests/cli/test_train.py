@@ -4,8 +4,6 @@ import sys
 
 import pytest
 
-from deep_curiosity.cli import main
-
 TINY = (
     "--total-steps 60 --learning-starts 20 --hidden-dim 16 --batch-size 32 --components 16 "
     "--num-members 2 --log-interval 20 --evaluation-episodes 1"
@@ -45,16 +43,13 @@ def test_train_resume_and_evaluate(tmp_path):
     ids=str,
 )
 def test_a_mistake_on_the_command_line_is_answered_in_one_line(
-    tmp_path, capsys, arguments, message
+    tmp_path, refusal, arguments, message
 ):
-    assert main(["train", *arguments, "--out", str(tmp_path / "run")]) == 1
-    printed = capsys.readouterr().err
+    out = [] if "--resume" in arguments else ["--out", tmp_path / "run"]
+    printed = refusal("train", *arguments, *out)
     assert printed.startswith(message)
     assert printed.count("\n") == 1
 
 
-def test_a_word_that_is_no_choice_is_answered_with_the_choices(capsys):
-    with pytest.raises(SystemExit) as stopped:
-        main(["train", "--bonus", "noise"])
-    assert stopped.value.code == 2
-    assert "curiosity" in capsys.readouterr().err
+def test_a_word_that_is_no_choice_is_answered_with_the_choices(refusal):
+    assert "curiosity" in refusal("train", "--bonus", "noise")
