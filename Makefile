@@ -48,6 +48,7 @@ wheel: setup  ## build the wheel into dist/
 
 site: setup  ## the documentation into site/, a page of it for every page of docs/
 	$(BIN)/python -m sphinx --fail-on-warning --quiet -b html docs site
+	$(BIN)/python docs/check_links.py site
 
 release-check: setup  ## wheel and sdist into dist/, and all that a new user does, in an empty environment
 	PYTHON=$(PYTHON) .ci/release-check

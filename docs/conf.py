@@ -1,11 +1,11 @@
 """Settings of the site: `make site`."""
 
-from importlib import metadata
+from deep_curiosity import __version__
 
 project = "deep_curiosity"
 author = "The deep_curiosity authors"
-release = metadata.version("deep-curiosity")
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon", "sphinx.ext.viewcode"]
+release = __version__
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
 myst_enable_extensions = ["colon_fence", "dollarmath"]
 myst_heading_anchors = 3
 myst_fence_as_directive = ["math"]  # as the repository's own pages write formulas
