@@ -12,8 +12,8 @@ from deep_curiosity.bonuses import BONUSES, Bonus
 
 ROOT = Path(deep_curiosity.__file__).parent
 LAYERS = (
+    ("requirements",),
     (
-        "requirements",
         "arguments",
         "configuration",
         "schedules",

@@ -1,4 +1,9 @@
 """Check by experiment whether a bonus works on your environment, and profile what it observes."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
+
+from deep_curiosity.requirements import require_training
+
+require_training()
 
 from collections.abc import Sequence
 from dataclasses import dataclass

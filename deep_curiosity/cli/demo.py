@@ -1,4 +1,9 @@
 """Play an agent that comes with the package, by what it takes to use any trained one."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
+
+from deep_curiosity.requirements import require_training
+
+require_training()
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass

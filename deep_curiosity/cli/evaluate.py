@@ -1,4 +1,9 @@
 """Replay a run: episodes of its deterministic policy, and a video of one if asked for."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
+
+from deep_curiosity.requirements import require_training
+
+require_training()
 
 import statistics
 from collections.abc import Sequence

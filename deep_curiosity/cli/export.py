@@ -1,4 +1,9 @@
 """Write the policy of a run for use elsewhere: ONNX, torch.export, or a folder of safetensors."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
+
+from deep_curiosity.requirements import require_training
+
+require_training()
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,9 @@
 """Draw learning curves of many runs, grouped by agent, with intervals: a picture and a page."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
+
+from deep_curiosity.requirements import require_training
+
+require_training()
 
 from collections.abc import Sequence
 from dataclasses import dataclass

@@ -1,4 +1,9 @@
 """Run a study, tasks x agents x seeds, and write its table, summary and figure."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
+
+from deep_curiosity.requirements import require_training
+
+require_training()
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace

@@ -1,4 +1,9 @@
 """Train the curious agent on a continuous-control task; --help-all shows every setting."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
+
+from deep_curiosity.requirements import require_training
+
+require_training()
 
 from collections.abc import Sequence
 
