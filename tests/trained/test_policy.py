@@ -182,12 +182,12 @@ def test_a_run_is_loaded_that_is_older_than_a_setting(run_of, tmp_path):
     values = json.loads((folder / "config.json").read_text())
     del values["random_features"], values["threads"]
     (folder / "config.json").write_text(json.dumps(values))
-    policy, same = load(folder), load(run_of(bonus="rnd"))
+    policy, same = dc.load(folder), dc.load(run_of(bonus="rnd"))
     assert policy.config == same.config.override(out=folder)
-    assert policy.predict(np.ones(3))[0].tolist() == same.predict(np.ones(3))[0].tolist()
+    np.testing.assert_array_equal(policy.predict(OBSERVATIONS)[0], same.predict(OBSERVATIONS)[0])
     (folder / "config.json").write_text(json.dumps(values | {"bonus": "luck"}))
     with pytest.raises(ValueError, match=r"config.json: `bonus` must be one of"):
-        load(folder)
+        dc.load(folder)
 
 
 def test_a_folder_without_a_run_is_named(tmp_path):
