@@ -83,6 +83,17 @@ def test_the_hunger_of_the_caller_is_followed_as_written(tiny):
     assert 0 < hungers[0] < hungers[1] < 1  # the battery drains
 
 
+def test_a_policy_is_used_and_exported_as_written(tiny, tmp_path, monkeypatch):
+    pytest.importorskip("onnxscript")
+    monkeypatch.chdir(tmp_path)
+    train(tiny.override(out="runs/pendulum"), show_progress=False)
+    code = re.search(r"```python\n(import deep_curiosity as dc\n.*?)```", README, re.S)
+    names = {}
+    exec(code.group(1), names)
+    assert names["action"].shape == (1,)
+    assert (tmp_path / "exported/pendulum.onnx").exists()
+
+
 def test_several_environments_are_made_as_written():
     code = re.search(r"```python\n(import gymnasium\n.*?)```", README, re.S)
     names = {}

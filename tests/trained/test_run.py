@@ -1,7 +1,9 @@
 import json
 
+import gymnasium
 import numpy as np
 import pytest
+from gymnasium import spaces
 
 import deep_curiosity as dc
 from deep_curiosity.training.log import read_config, read_progress
@@ -32,6 +34,54 @@ def test_a_run_in_one_call(tmp_path):
     np.testing.assert_array_equal(action, dc.load(run.folder).predict(observation)[0])
     assert run.model.predict(observation, action).mean.shape == (3,)
     assert run.bonus.ready
+
+
+class Arm(gymnasium.Env):
+    """Observations are dictionaries in dictionaries, actions lie in [-2, 2]."""
+
+    observation_space = spaces.Dict(
+        {
+            "joint": spaces.Dict({"speed": spaces.Box(-9, 9, (2,)), "angle": spaces.Box(-9, 9)}),
+            "goal": spaces.Box(-1, 1, (1,)),
+        }
+    )
+    action_space = spaces.Box(-2.0, 2.0, (2,))
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.speed = np.zeros(2, np.float32)
+        return self.seen(), {}
+
+    def step(self, action):
+        self.speed = 0.9 * self.speed + 0.1 * action
+        return self.seen(), -1.0, False, False, {}
+
+    def seen(self):
+        one = np.ones(1, np.float32)
+        return {"joint": {"speed": self.speed, "angle": 2 * one}, "goal": 0.5 * one}
+
+
+@pytest.mark.parametrize("settings", [{}, {"frame_stack": 2}, {"observation_keys": ("joint",)}])
+def test_a_task_of_ones_own_with_dictionaries(tmp_path, settings):
+    def make_env():
+        return Arm()
+
+    run = dc.train(
+        make_env=make_env, out=tmp_path / "run", max_episode_steps=20, **settings, **TINY
+    )
+    policy = run.policy
+    observation, _ = make_env().reset(seed=0)
+    observation["joint"]["speed"] = np.array([0.25, 0.5], np.float32)
+    action, _ = policy.predict(observation)
+    assert make_env().action_space.contains(action)
+    entries = [0.5] if not settings.get("observation_keys") else []
+    vector = [*entries, 2.0, 0.25, 0.5]  # in gymnasium's order, that of the alphabet
+    np.testing.assert_array_equal(action, policy.predict(vector)[0])
+    assert not np.allclose(action, policy.predict([*entries, 2.0, 0.5, 0.25])[0])
+    again = dc.continue_run(
+        tmp_path / "run", total_steps=60, make_env=make_env, show_progress=False
+    )
+    assert again.summary["total_steps"] == 60
 
 
 def test_a_run_goes_on(tmp_path):
