@@ -17,7 +17,7 @@ PAGES = [
     *sorted(DOCS.glob("guide/*.md")),
 ]
 FENCE = re.compile(r"^```(python|sh)\n(.*?)^```", re.MULTILINE | re.DOTALL)
-SHORT = "--learning-starts 100 --evaluation-episodes 1 --hidden-dim 16 --components 16"
+SHORT = "--learning-starts 100 --evaluation-episodes 1 --hidden-dim 16"
 named = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 
 
