@@ -58,6 +58,21 @@ def check_folder(name: str, path: Path) -> None:
             raise ValueError(f"`{name}` must be a folder, got {path}, where {each} is a file.")
 
 
+def check_file(name: str, path: Path) -> None:
+    """Reject the path of what cannot become a file.
+
+    Raises:
+        ValueError: Naming the option and the path.
+    """
+    check_folder(name, path.parent)
+    try:
+        is_folder = path.is_dir()
+    except (OSError, ValueError) as error:  # too long, or with a NUL
+        raise ValueError(f"`{name}` must be a file, got {str(path)!r}: {error}.") from error
+    if is_folder:
+        raise ValueError(f"`{name}` must be a file, got {path}, which is a folder.")
+
+
 def _refuse_repeated(arguments: Sequence[str]) -> None:
     """Refuse an option that is given twice, of which the parser would take the last."""
     flags = [each.partition("=")[0].replace("_", "-") for each in arguments if each[:2] == "--"]

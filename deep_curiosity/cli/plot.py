@@ -12,7 +12,7 @@ from typing import Annotated
 
 import tyro
 
-from deep_curiosity.arguments import check_folder, read_arguments
+from deep_curiosity.arguments import check_file, read_arguments
 from deep_curiosity.configuration import Group
 from deep_curiosity.experiments.curves import (
     find_runs,
@@ -42,7 +42,7 @@ class Args(Group):
     def __post_init__(self) -> None:
         """Refuse what cannot be written, before anything is read."""
         super().__post_init__()
-        check_folder("out", self.out.parent)
+        check_file("out", self.out)
 
 
 def main(arguments: Sequence[str]) -> int:

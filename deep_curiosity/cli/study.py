@@ -12,7 +12,7 @@ from typing import Annotated
 
 import tyro
 
-from deep_curiosity.arguments import check_folder, read_arguments
+from deep_curiosity.arguments import check_file, check_folder, read_arguments
 from deep_curiosity.configuration import Group, setting
 from deep_curiosity.experiments.grid import SUFFIXES, overridden, part_of, run_study
 from deep_curiosity.experiments.studies import find_study
@@ -46,8 +46,8 @@ class Args(Group):
         super().__post_init__()
         check_folder("runs", self.runs)
         if self.out is not None:
-            check_folder("out", self.out.parent)
-            if self.out.suffix in SUFFIXES or self.out.is_dir():
+            check_file("out", self.out)
+            if self.out.suffix in SUFFIXES:
                 raise ValueError(
                     f"`out` must be a path of a file without its suffix, got {self.out}."
                 )

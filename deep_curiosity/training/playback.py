@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from deep_curiosity.agent.config import ConditionedHunger
 from deep_curiosity.agent.sac import CuriousSAC
-from deep_curiosity.arguments import check_folder
+from deep_curiosity.arguments import check_file
 from deep_curiosity.requirements import require
 from deep_curiosity.training.checkpoint import load_checkpoint
 from deep_curiosity.training.collector import Collector, Episode, as_batch
@@ -96,8 +96,8 @@ def check_video(path: Path | None) -> None:
     if path is None:
         return
     require("imageio", extra="video")
-    check_folder("video", path.parent)
-    if path.suffix not in (".mp4", ".gif") or path.is_dir():
+    check_file("video", path)
+    if path.suffix not in (".mp4", ".gif"):
         raise ValueError(f"`video` must be a file .mp4 or .gif, got {path}.")
 
 
