@@ -198,7 +198,7 @@ def test_intervals_count_the_steps_of_all_environments(tiny):
 
 
 def test_coverage_is_that_of_all_environments(tiny):
-    maze = tiny.override(env_id="PointMaze", num_envs=16, total_steps=960, learning_starts=950)
+    maze = tiny.override(env_id="PointMaze", num_envs=16, total_steps=960, learning_starts=940)
     train(maze.override(evaluation_interval=1000), show_progress=False)
     cells = load_checkpoint(maze.run.out)["run_log"]["cells"]
     assert len(cells) > 3
