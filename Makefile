@@ -3,10 +3,10 @@ PYTHON ?= python3
 BIN := .venv/bin
 OUT ?= runs/pendulum
 
-.PHONY: help setup train test slow lint figures bench study wheel clean
+.PHONY: help setup train test slow lint figures bench wheel site release-check
 
 help:  ## list the targets
-	@grep -E '^[a-z]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 12
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed 's/:.*## /\t/' | expand -t 16
 
 setup: .venv/.ready  ## create .venv with torch and this package, editable: some minutes, 2 GB
 
@@ -45,3 +45,10 @@ bench: setup  ## speed, floor, memory and growth into docs/benchmark, half an ho
 
 wheel: setup  ## build the wheel into dist/
 	$(BIN)/python -m build --wheel --outdir dist
+
+site: setup  ## the documentation into site/, a page of it for every page of docs/
+	$(BIN)/python -m sphinx --fail-on-warning --quiet -b html docs site
+	$(BIN)/python docs/check_links.py site
+
+release-check: setup  ## wheel and sdist into dist/, and all that a new user does, in an empty environment
+	PYTHON=$(PYTHON) .ci/release-check

@@ -9,6 +9,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from deep_curiosity.requirements import require
 from deep_curiosity.transitions import Sequences, Transition, check_counts, check_single_steps
 
 if TYPE_CHECKING:
@@ -343,13 +344,10 @@ class ReplayBuffer:
         Raises:
             ImportError: If torchrl is missing.
         """
-        try:
-            from tensordict import TensorDict
-            from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
-        except ImportError as error:
-            raise ImportError(
-                "torchrl is missing: pip install 'deep-curiosity[torchrl]'"
-            ) from error
+        require("torchrl", extra="torchrl")
+        from tensordict import TensorDict
+        from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
+
         held = self.all()
         buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(self.capacity), batch_size=256)
         next_step = {

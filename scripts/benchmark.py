@@ -6,9 +6,10 @@ Everything runs on one thread. What is compared is measured alternately within o
 import shlex
 import sys
 
+from deep_curiosity.arguments import read_arguments
 from deep_curiosity.benchmark.run import run_benchmark
 from deep_curiosity.benchmark.sections import Benchmark
-from deep_curiosity.cli import answering, read_arguments
+from deep_curiosity.cli import answering
 
 if __name__ == "__main__":
     with answering():

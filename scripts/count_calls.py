@@ -7,6 +7,7 @@ marginal.
 import torch
 
 from deep_curiosity.agent.networks import PRIORS
+from deep_curiosity.arguments import read_arguments
 from deep_curiosity.benchmark.calls import (
     CONFIG,
     describe_calls,
@@ -14,7 +15,7 @@ from deep_curiosity.benchmark.calls import (
     find_hops,
     record_update,
 )
-from deep_curiosity.cli import answering, read_arguments
+from deep_curiosity.cli import answering
 
 
 def main() -> None:

@@ -1,73 +1,8 @@
-"""Replay a run: episodes of its deterministic policy, and a video of one if asked for."""
+"""The same as `deep-curiosity evaluate`."""
 
-import statistics
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Annotated
+import sys
 
-import tyro
-
-from deep_curiosity.cli import answering, check_folder, read_arguments
-from deep_curiosity.configuration import MOST_SEED, Group, setting
-from deep_curiosity.training.collector import evaluate
-from deep_curiosity.training.environments import make_environment
-from deep_curiosity.training.log import read_config
-from deep_curiosity.training.playback import (
-    check_new,
-    load_policy,
-    record_episode,
-    write_video,
-)
-
-
-@dataclass(frozen=True)
-class Args(Group):
-    """What to replay."""
-
-    folder: Annotated[Path, tyro.conf.Positional]
-    """Folder of the run."""
-    episodes: int = setting(10)
-    """Episodes to play."""
-    seed: int = setting(7, at_least=0, at_most=MOST_SEED)
-    """Seed of the resets."""
-    hunger: tuple[float, ...] = setting((), at_least=0, at_most=1)
-    """Of an agent that is conditioned on it: one or several to play with, from 0, purely curious,
-    to 1, purely greedy."""
-    video: Path | None = None
-    """New file for a video of the first episode, at the last hunger, .mp4 or .gif; needs
-    MUJOCO_GL=egl or osmesa on a machine without a screen."""
-
-    def __post_init__(self) -> None:
-        """Refuse a file that could not be written, before anything is played."""
-        super().__post_init__()
-        check_folder("folder", self.folder)
-        if self.video is not None:
-            check_folder("video", self.video.parent)
-            if self.video.suffix not in (".mp4", ".gif") or self.video.is_dir():
-                raise ValueError(f"`video` must be a file .mp4 or .gif, got {self.video}.")
-
-
-def main(args: Args) -> None:
-    """Print returns, and write the video."""
-    config = read_config(args.folder)
-    if args.video is not None:
-        check_new(args.video)  # before anything is played
-    environment = make_environment(config.environment)
-    for hunger in args.hunger or (None,):
-        act = load_policy(args.folder, config, environment, hunger=hunger)
-        episodes = evaluate(act, environment, episodes=args.episodes, seed=args.seed)
-        returns = [episode.episode_return for episode in episodes]
-        std = statistics.stdev(returns) if len(returns) > 1 else 0.0
-        at = "" if hunger is None else f" at hunger {hunger:g}"
-        mean = statistics.mean(returns)
-        print(f"{config.environment.env_id}{at}: return {mean:.2f} +- {std:.2f}")
-    if args.video is not None:
-        screen = make_environment(config.environment, render_mode="rgb_array")
-        frames = record_episode(act, screen, seed=args.seed)
-        write_video(args.video, frames, fps=screen.metadata.get("render_fps", 30))
-        print(f"video of {len(frames)} frames in {args.video}")
-
+from deep_curiosity.cli import main
 
 if __name__ == "__main__":
-    with answering():
-        main(read_arguments(Args, description=__doc__))
+    sys.exit(main(["evaluate", *sys.argv[1:]]))

@@ -6,7 +6,8 @@ python scripts/paper.py
 from dataclasses import dataclass
 from pathlib import Path
 
-from deep_curiosity.cli import answering, check_folder, read_arguments
+from deep_curiosity.arguments import check_folder, read_arguments
+from deep_curiosity.cli import answering
 from deep_curiosity.configuration import MOST_SEED, Group, setting
 from deep_curiosity.experiments.paper.page import write_paper
 

@@ -29,7 +29,7 @@ def own_precision() -> Iterator[None]:
 def unplotted(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
     """Runs leave no picture, which takes as long as the run, unless a test is marked `plotted`."""
     if "plotted" not in request.keywords:
-        monkeypatch.setattr("deep_curiosity.training.loop.plot_run", lambda folder: None)
+        monkeypatch.setattr("deep_curiosity.training.figures.plot_run", lambda folder: None)
 
 
 @pytest.fixture

@@ -64,9 +64,9 @@ def run_folder(tmp_path):
 def call(monkeypatch, capsys, run_folder):
     """Function that gives a command line to a script: what it accepted, or what it printed."""
     monkeypatch.chdir(run_folder.parent)
-    monkeypatch.setattr("deep_curiosity.training.train", accept)
-    monkeypatch.setattr("deep_curiosity.training.playback.load_policy", accept)
-    monkeypatch.setattr("deep_curiosity.experiments.grid.run_study", accept)
+    monkeypatch.setattr("deep_curiosity.cli.train.train", accept)
+    monkeypatch.setattr("deep_curiosity.cli.evaluate.load_policy", accept)
+    monkeypatch.setattr("deep_curiosity.cli.study.run_study", accept)
     monkeypatch.setattr("deep_curiosity.experiments.paper.page.write_paper", accept)
     monkeypatch.setattr("deep_curiosity.benchmark.run.run_benchmark", accept)
     monkeypatch.setattr("deep_curiosity.benchmark.calls.record_update", accept)

@@ -13,7 +13,7 @@ from deep_curiosity.bonuses import BONUSES, Bonus
 ROOT = Path(deep_curiosity.__file__).parent
 LAYERS = (
     ("requirements", "transitions"),
-    ("cli", "configuration", "schedules", "gaussians", "losses", "nn"),
+    ("arguments", "configuration", "schedules", "gaussians", "losses", "nn"),
     ("replay",),
     ("speed",),
     ("bonuses",),
@@ -23,6 +23,8 @@ LAYERS = (
     ("integrations", "tabular", "trained"),
     ("experiments",),
     ("benchmark",),
+    ("cli",),
+    ("__main__",),
 )
 """From the lowest to the highest: what stands in one line does not import one another."""
 LEVELS = {name: level for level, names in enumerate(LAYERS) for name in names}

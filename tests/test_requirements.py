@@ -16,11 +16,18 @@ def test_a_package_that_is_there_passes() -> None:
     require("torch", extra="sb3")
 
 
-def test_nothing_is_imported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_package_that_misses_something_itself_is_not_called_missing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "broken_package.py").write_text("import no_such_package\n")
     monkeypatch.syspath_prepend(tmp_path)
     require("broken_package", extra="sb3")
-    assert "broken_package" not in sys.modules
+    assert "broken_package" not in sys.modules  # nothing is imported
+
+
+def test_all_that_are_missing_are_named_at_once() -> None:
+    with pytest.raises(ImportError, match=r"^no_such, nor_such are missing: pip install"):
+        require("no_such", "torch", "nor_such", extra="sb3")
 
 
 @pytest.mark.parametrize("installed", ["2.7", "2.7.0a1", "2.9.2", "2.10"])

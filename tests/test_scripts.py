@@ -1,20 +1,12 @@
-import json
 import runpy
 import subprocess
 import sys
 from pathlib import Path
 
-import imageio.v2 as imageio
-import numpy as np
 import pytest
 
-from deep_curiosity.training import train
-
 ROOT = Path(__file__).parents[1]
-TINY = (
-    "--total-steps 60 --learning-starts 20 --hidden-dim 16 --batch-size 32 --components 16 "
-    "--num-members 2 --log-interval 20 --evaluation-episodes 1"
-).split()
+MISTAKES = {"train": ["--num-members", 1], "evaluate": ["no/such"], "study": ["no_such.py"]}
 
 
 def run_here(monkeypatch, script, *arguments):
@@ -33,72 +25,16 @@ def run(script, *arguments, **environment):
     )
 
 
-def test_train_resume_and_evaluate(tmp_path):
-    out = tmp_path / "run"
-    trained = run("train.py", "--env-id", "PointMaze", *TINY, "--out", out)
-    assert trained.returncode == 0, trained.stderr
-    assert "nats=" in trained.stderr
-    resumed = run("train.py", "--resume", out, "--total-steps", 80)
-    assert resumed.returncode == 0, resumed.stderr
-    assert json.loads((out / "summary.json").read_text())["total_steps"] == 80
-    evaluated = run("evaluate.py", out, "--episodes", 2)
-    assert evaluated.returncode == 0, evaluated.stderr
-    assert evaluated.stdout.startswith("PointMaze: return ")
-
-
-def test_a_conditioned_run_is_played_at_several_hungers(tiny, monkeypatch, capsys):
-    train(tiny.override(hunger="random"), show_progress=False)
-    capsys.readouterr()
-    run_here(monkeypatch, "evaluate.py", tiny.run.out, "--episodes", 1, "--hunger", 0, 0.5, 1)
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.partition(": return")[0].split()[-1] for line in lines] == ["0", "0.5", "1"]
+@pytest.mark.parametrize("name", MISTAKES)
+def test_a_script_is_the_command_of_its_name(monkeypatch, capsys, name):
     with pytest.raises(SystemExit) as stopped:
-        run_here(monkeypatch, "evaluate.py", tiny.run.out, "--hunger", 2)
-    assert stopped.value.code == 2
-    assert "`hunger` must be at most 1, got 2.0" in capsys.readouterr().err
-
-
-def test_a_video_is_written_where_something_renders(tiny, tmp_path):
-    video = tmp_path / "video.gif"
-    task = {"env_id": "ReacherSparse", "env_kwargs": {}, "frame_stack": 2}
-    train(tiny.override(**task), show_progress=False)
-    played = run("evaluate.py", tiny.run.out, "--episodes", 1, "--video", video, MUJOCO_GL="egl")
-    if played.returncode:
-        assert "error: MuJoCo could not start OpenGL" in played.stderr
-        pytest.skip("nothing renders here")
-    frames = np.stack(imageio.mimread(video))[..., :3]
-    assert len(frames) == 100
-    assert (frames[0] != frames[0, 0, 0]).any(-1).mean() > 0.01  # something is there
-    assert (frames[0] != frames[-1]).any()  # and moves
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--env-id", "CartPole-v1"], "error: `action_space` must be a Box"),
-        (["--env-id", "NoSuchTask-v0"], "error: `env_id` must be a registered id"),
-        (["--num-members", "1"], "error: `num_members` must be at least 2"),
-        (["--resume", "no/such/folder"], "error: a run must have a config.json"),
-        (["--bonus", "noise"], "curiosity"),
-    ],
-    ids=str,
-)
-def test_a_mistake_on_the_command_line_is_answered_in_one_line(
-    tmp_path, monkeypatch, capsys, arguments, message
-):
-    with pytest.raises(SystemExit) as stopped:
-        run_here(monkeypatch, "train.py", *arguments, "--out", tmp_path / "run")
-    printed = capsys.readouterr()
-    assert stopped.value.code == 2
-    assert message in printed.err + printed.out
-
-
-@pytest.mark.parametrize("script", ["train.py", "evaluate.py", "study.py"])
-def test_help_says_what_every_option_is(monkeypatch, capsys, script):
-    with pytest.raises(SystemExit) as stopped:
-        run_here(monkeypatch, script, "--help")
+        run_here(monkeypatch, f"{name}.py", "--help")
     assert stopped.value.code == 0
-    assert "Folder" in capsys.readouterr().out
+    assert f"usage: deep-curiosity {name}" in capsys.readouterr().out
+    with pytest.raises(SystemExit) as stopped:
+        run_here(monkeypatch, f"{name}.py", *MISTAKES[name])
+    assert stopped.value.code == 2
+    assert capsys.readouterr().err.startswith("error: ")
 
 
 def test_a_section_of_the_benchmark_leaves_its_page(tmp_path):

@@ -1,4 +1,10 @@
 """What an adapter costs beyond calling the bonus directly, against a training step."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
+
+from deep_curiosity.requirements import require
+
+require("stable_baselines3", extra="sb3")
+require("torchrl", extra="torchrl")
 
 from collections.abc import Callable, Mapping
 from functools import partial

@@ -8,6 +8,7 @@ from typing import Literal
 
 import torch
 
+from deep_curiosity.arguments import check_folder
 from deep_curiosity.benchmark import figures, page
 from deep_curiosity.benchmark.agents import Row, measure_agents
 from deep_curiosity.benchmark.costs import measure_bonus, measure_devices, measure_growth
@@ -15,7 +16,6 @@ from deep_curiosity.benchmark.own_agent import OwnAgent
 from deep_curiosity.benchmark.runners import Runner, import_runner
 from deep_curiosity.benchmark.switches import measure_switches
 from deep_curiosity.benchmark.vector import measure_vector_environments
-from deep_curiosity.cli import check_folder
 from deep_curiosity.configuration import Group, setting
 from deep_curiosity.training.config import Config
 

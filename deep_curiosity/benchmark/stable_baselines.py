@@ -1,4 +1,9 @@
 """Stable-Baselines3's soft actor-critic as a runner: the pattern of an adapter."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
+
+from deep_curiosity.requirements import require
+
+require("stable_baselines3", extra="sb3")
 
 from typing import Any
 

@@ -1,5 +1,6 @@
 """Figures of studies: learning curves, and what was measured, with intervals over seeds."""
 
+from collections import defaultdict
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -26,25 +27,35 @@ def plot_curves(path: Path, study: Study, rows: Sequence[Row], curves: Sequence[
             own = [row for row in curves if (row["task"], row[study.label]) == (task.name, agent)]
             if own:
                 counted = "" if "" in solved else f" ({sum(solved)}/{len(solved)})"
-                ends[f"{agent}{counted}", f"C{number}"] = _plot_curve(axes, own, f"C{number}")
+                steps, estimates = estimate_curve(own, "evaluation_return")
+                draw_curve(axes, steps, estimates, f"C{number}")
+                ends[f"{agent}{counted}", f"C{number}"] = estimates[-1].value
         if task.solved_return == task.solved_return:
             axes.axhline(task.solved_return, color="grey", linestyle=":", linewidth=1)
         axes.set(title=task.name, xlabel="environment steps", ylabel="evaluation return")
-        _label_beside(axes, ends)
+        label_beside(axes, ends)
     figure.savefig(path, dpi=120)
 
 
-def _plot_curve(axes: Axes, own: Sequence[Row], color: str) -> float:
-    """Plot one agent on one task; return where the curve ends."""
-    steps = sorted({row["step"] for row in own})
-    estimates = [bootstrap([select(own, "evaluation_return", step=step)]) for step in steps]
+def estimate_curve(own: Sequence[Row], column: str) -> tuple[list[int], list[Estimate]]:
+    """Interquartile mean of a column over the rows of each step, with its 95 % interval."""
+    values = defaultdict(list)
+    for row in own:
+        values[row["step"]].append(row[column])
+    steps = sorted(values)
+    return steps, [bootstrap([values[step]]) for step in steps]
+
+
+def draw_curve(
+    axes: Axes, steps: Sequence[int], estimates: Sequence[Estimate], color: str
+) -> None:
+    """Draw a curve and its interval."""
     value, low, high = np.array(estimates).T
     axes.plot(steps, value, color=color)
     axes.fill_between(steps, low, high, color=color, alpha=0.15, linewidth=0)
-    return float(value[-1])
 
 
-def _label_beside(axes: Axes, ends: dict[tuple[str, str], float]) -> None:
+def label_beside(axes: Axes, ends: dict[tuple[str, str], float]) -> None:
     """Names beside the ends of the curves, in their colours, none upon another."""
     low, high = axes.get_ylim()
     place = -np.inf

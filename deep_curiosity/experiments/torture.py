@@ -160,7 +160,7 @@ def _begin(config: Config) -> int:
             os.dup2(output.fileno(), 1)
             os.dup2(output.fileno(), 2)
         warnings.simplefilter("error")  # nothing may be damaged
-        loop.plot_run = _unplotted
+        loop._plot = _unplotted
         loop.train(config, resume=(config.run.out / CONFIG).exists(), show_progress=False)
         status = 0
     except BaseException:

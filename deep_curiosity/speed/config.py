@@ -15,7 +15,7 @@ class SpeedConfig(Group):
     threads: int = setting(1, at_most=1_024)
     """CPU threads of torch; two are often slower than one for networks of this size."""
     compile: Literal["auto", "on", "off"] = "auto"
-    """Compile the updates, which takes half a minute at the start; auto does so for long runs."""
+    """Compile the updates, which takes half a minute; auto does so in long runs, after some."""
     matmul_precision: Literal["auto", "highest", "high", "medium"] = "auto"
     """Torch's switch for float32 matrix products; auto takes the fastest that is float32."""
     direct_matmul: bool = True

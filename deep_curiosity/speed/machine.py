@@ -16,6 +16,7 @@ from deep_curiosity.speed.precision import FLOAT32_ERROR, matmul_error
 MatmulPrecision = Literal["highest", "high", "medium"]
 PRECISIONS: tuple[MatmulPrecision, ...] = ("highest", "high", "medium")
 WORTH_COMPILING = 5_000  # updates, after which what compiling took is won back
+EAGER_UPDATES = 500  # of `"auto"` before the graph is made, so that a run is soon seen to learn
 
 
 @contextmanager

@@ -1,10 +1,11 @@
 """What is read of a folder, be it of a run or of a policy that was exported."""
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from torch import Tensor
 
+from deep_curiosity.bonuses.config import BONUS_CONFIGS
 from deep_curiosity.requirements import require
 from deep_curiosity.training.checkpoint import load_checkpoint
 from deep_curiosity.training.config import Config
@@ -33,6 +34,8 @@ class Trained(NamedTuple):
 def read_trained(folder: str | Path) -> Trained:
     """Read the newest checkpoint of a run, or a folder that `export` wrote.
 
+    Settings that its version did not have yet are as they are by default.
+
     Raises:
         FileNotFoundError: If the folder holds neither, or no checkpoint that can be read.
         ImportError: If a folder that was exported is to be read, and safetensors is missing.
@@ -41,9 +44,15 @@ def read_trained(folder: str | Path) -> Trained:
     folder = Path(folder)
     # where and how it was trained matters no more: the GPU may not be here
     values = read_values(folder) | {"device": "cpu", "out": str(folder)}
-    config = Config.from_json(values, source=str(folder / CONFIG))
+    config = Config.from_json(_with_younger(values), source=str(folder / CONFIG))
     policy, bonus = _read_export(folder) if (folder / WEIGHTS).exists() else _read_run(folder)
     return Trained(folder, config, read_spaces(folder), policy, bonus)
+
+
+def _with_younger(values: dict[str, Any]) -> dict[str, Any]:
+    """Settings as they are written, and those that are younger than they by their defaults."""
+    kind = values.get("bonus")
+    return Config.of(bonus=kind).to_json() | values if kind in BONUS_CONFIGS else values
 
 
 def _read_run(folder: Path) -> tuple[Weights, Weights]:

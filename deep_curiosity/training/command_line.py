@@ -18,8 +18,8 @@ from typing import Annotated, Any, Literal, NamedTuple, get_args
 
 import tyro
 
+from deep_curiosity.arguments import check_folder, read_arguments
 from deep_curiosity.bonuses.config import BONUS_CONFIGS
-from deep_curiosity.cli import check_folder, read_arguments
 from deep_curiosity.configuration import Setting, flat
 from deep_curiosity.training.config import PRESETS, Config, merge_config
 from deep_curiosity.training.log import read_config
@@ -79,12 +79,15 @@ class Command(NamedTuple):
     resume: bool
 
 
-def parse(arguments: Sequence[str] | None = None, *, description: str) -> Command:
+def parse(
+    arguments: Sequence[str] | None = None, *, description: str, prog: str | None = None
+) -> Command:
     """Read a command line; with `--resume` what is not given is as the run has it.
 
     Args:
         arguments: Those of the process when `None`.
         description: Of the command, for its help.
+        prog: How the command is called, for its help.
 
     Raises:
         FileNotFoundError: If there is no run to continue.
@@ -102,7 +105,8 @@ def parse(arguments: Sequence[str] | None = None, *, description: str) -> Comman
         _known(_peek(given, "--preset"), PRESETS),
         bonus=_known(_peek(given, "--bonus"), BONUS_CONFIGS) or own.bonus,
     )
-    read = vars(read_arguments(_command_class(base, show_all), given, description=description))
+    kind = _command_class(base, show_all)
+    read = vars(read_arguments(kind, given, description=description, prog=prog))
     values = {name: _from_text(each, read[name]) for name, each in flat(base).items()}
     config = base.override(**values)
     if resume is None:

@@ -1,7 +1,7 @@
 """Environments that the agent can act in: found by id, checked, brought to one form."""
 # ruff: noqa: E402  # what is missing is reported before anything needs it
 
-from deep_curiosity.requirements import require_training
+from deep_curiosity.requirements import require, require_training
 
 require_training()
 
@@ -382,13 +382,14 @@ def registered_id(env_id: str) -> str:
     if module:
         _import_tasks(module, env_id)
     elif name.startswith("dm_control/"):
-        _require("shimmy", "dmc")
+        require("shimmy", extra="dmc")
+        importlib.import_module("shimmy")  # which registers them
     known = list(gymnasium.registry)
     for candidate in (name, f"deep_curiosity/{name}", f"deep_curiosity/{name}-v0"):
         if candidate in known:
             return candidate
     if not module and name.startswith(ROBOTICS_PREFIXES):
-        _require("gymnasium_robotics", "robotics")
+        require("gymnasium_robotics", extra="robotics")
         return registered_id(f"gymnasium_robotics:{name}")
     nearest = difflib.get_close_matches(name, known, n=3, cutoff=0.4)
     raise ValueError(
@@ -406,11 +407,3 @@ def _import_tasks(module: str, env_id: str) -> None:
             f"`env_id` must name a module that can be imported (is its folder in PYTHONPATH?), "
             f"got {env_id!r}: {error}."
         ) from error
-
-
-def _require(module: str, extra: str) -> None:
-    """Import what an extra of this package brings."""
-    try:
-        importlib.import_module(module)
-    except ImportError as error:
-        raise ImportError(f"{module} is missing: pip install 'deep-curiosity[{extra}]'") from error

@@ -13,6 +13,8 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from deep_curiosity.requirements import require
+
 REVERSION = 0.15  # of an Ornstein-Uhlenbeck process, per step: that of Lillicrap et al. (2016)
 RESAMPLED_STEPS = 64  # of state-dependent noise, until it depends on the state in another way
 PINK_STEPS = 1_000  # the longest period in pink noise; an episode's usual length or more
@@ -129,12 +131,9 @@ class PinkNoise(Noise):
 
     def __init__(self, num_envs: int, action_dim: int) -> None:
         super().__init__(num_envs, action_dim)
-        try:
-            from pink import PinkNoiseProcess
-        except ImportError as error:
-            raise ImportError(
-                "pink-noise-rl is missing: pip install 'deep-curiosity[noise]'"
-            ) from error
+        require("pink", extra="noise")
+        from pink import PinkNoiseProcess
+
         self._make = PinkNoiseProcess
         self._seed = torch.zeros(num_envs, dtype=torch.long)
         self._num_sampled = torch.zeros(num_envs, dtype=torch.long)

@@ -1,5 +1,6 @@
 """The learner: agent, bonus, their optimisers and replay, assembled from a configuration."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.replay import ReplayBuffer
 from deep_curiosity.schedules import Schedule
 from deep_curiosity.speed.compile import compiled
-from deep_curiosity.speed.machine import should_compile
+from deep_curiosity.speed.machine import EAGER_UPDATES, should_compile
 from deep_curiosity.speed.numpy_policy import NumpyPolicy
 from deep_curiosity.training.collector import Step, as_batch
 from deep_curiosity.training.config import Config
@@ -76,21 +77,23 @@ class Learner:
         self._numpy_policies = self._make_numpy_policies()
         self._numpy_noise = torch.empty(action_dim)  # filled anew for every action
         self._learn = self._learn_eagerly
-        if compiles(config):
-            self._learn = compiled(
-                self._learn_eagerly,
-                speed=config.speed,
-                fall_back=config.speed.compile == "auto",
-            )
+        self._compile_from = compiles_from(config)
+        if config.speed.compile == "on":
+            self._compile()
 
     def before_step(self, step: int, observation: np.ndarray, info: Info) -> None:
         """Set what goes with time, or with what is observed, before a step is taken.
+
+        The number of steps alone says when a graph is made of the update, so that a resumed run
+        computes as an uninterrupted one.
 
         Args:
             step: Environment steps taken so far.
             observation: `(num_envs, observation_dim)`.
             info: Infos that came with it.
         """
+        if self._compile_from is not None and step >= self._compile_from:
+            self._compile()
         hunger = self.hunger_controller.hunger(step, observation, info)
         values = hunger.tolist()
         if values != self._last_hunger:
@@ -173,6 +176,15 @@ class Learner:
         transition = self.replay.sequences(rows, alive).first
         visited = self.config.bonus.sample_visited(self.replay, self.config.run.batch_size)
         bonus.observe(transition, self.agent.act, visited)
+
+    def _compile(self) -> None:
+        """Make one graph of the update, when it is next called."""
+        self._compile_from = None
+        self._learn = compiled(
+            self._learn_eagerly,
+            speed=self.config.speed,
+            fall_back=self.config.speed.compile == "auto",
+        )
 
     def _learn_eagerly(
         self, rows: Tensor, alive: Tensor, remembered: Tensor
@@ -302,3 +314,11 @@ def compiles(config: Config) -> bool:
     """Whether the updates of a run are compiled."""
     num_updates = (config.run.total_steps - config.run.learning_starts) * config.run.update_to_data
     return should_compile(config.speed, num_updates)
+
+
+def compiles_from(config: Config) -> int | None:
+    """Environment steps after which the updates of a run are compiled; `None` for never."""
+    if not compiles(config):
+        return None
+    num_eager = EAGER_UPDATES if config.speed.compile == "auto" else 0
+    return config.run.learning_starts + math.ceil(num_eager / config.run.update_to_data)

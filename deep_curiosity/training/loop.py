@@ -15,7 +15,6 @@ from tqdm import tqdm
 from deep_curiosity.training.collector import Episode
 from deep_curiosity.training.config import Config
 from deep_curiosity.training.environments import MakeEnv
-from deep_curiosity.training.figures import plot_run
 from deep_curiosity.training.hunger import HungerFunction
 from deep_curiosity.training.interruption import Interrupted, catch_interruption
 from deep_curiosity.training.log import read_config
@@ -108,7 +107,7 @@ def train(
         bar.close()
         run.save()
         summary = run.write_summary()
-        plot_run(course.out)
+        _plot(course.out)
         if not run.finished:
             print(f"Stopped at step {run_log.step}; continue with --resume {course.out}")
         return summary
@@ -116,6 +115,13 @@ def train(
 
 def _told(episode: Episode) -> dict[str, float]:
     return {"episode/return": episode.episode_return, "episode/length": episode.length}
+
+
+def _plot(folder: Path) -> None:
+    """Leave the picture of the run in its folder."""
+    from deep_curiosity.training.figures import plot_run  # here, as Matplotlib takes a second
+
+    plot_run(folder)
 
 
 def continue_run(

@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium
-import imageio.v2 as imageio
 import numpy as np
 from numpy.typing import NDArray
 
 from deep_curiosity.agent.config import ConditionedHunger
 from deep_curiosity.agent.sac import CuriousSAC
+from deep_curiosity.arguments import check_file
+from deep_curiosity.requirements import require
 from deep_curiosity.training.checkpoint import load_checkpoint
 from deep_curiosity.training.collector import Collector, Episode, as_batch
 from deep_curiosity.training.config import Config
@@ -91,12 +92,33 @@ def record_episode(
     return frames
 
 
+def check_video(path: Path | None) -> None:
+    """Refuse a video that could not be written, before anything is played.
+
+    Raises:
+        FileExistsError: If the file is there.
+        ImportError: If imageio is missing.
+        ValueError: If it is no file of a known format, or its folder cannot be one.
+    """
+    if path is None:
+        return
+    require("imageio", extra="video")
+    check_file("video", path)
+    if path.suffix not in (".mp4", ".gif"):
+        raise ValueError(f"`video` must be a file .mp4 or .gif, got {path}.")
+    check_new(path)
+
+
 def write_video(path: Path, frames: list[NDArray[np.uint8]], *, fps: int) -> None:
     """Write frames to a new file whose suffix names the format, such as .mp4 or .gif.
 
     Raises:
         FileExistsError: If the file is there.
+        ImportError: If imageio is missing.
     """
+    require("imageio", extra="video")
+    import imageio.v2 as imageio
+
     check_new(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     pace: dict[str, Any] = {"duration": 1000 / fps} if path.suffix == ".gif" else {"fps": fps}

@@ -54,7 +54,7 @@ from deep_curiosity.training.environments import (
 from deep_curiosity.training.failure import close_at_once, environment_failure
 from deep_curiosity.training.hunger import HungerFunction
 from deep_curiosity.training.interruption import Interrupted, is_interrupted
-from deep_curiosity.training.learner import Learner, compiles
+from deep_curiosity.training.learner import Learner, compiles, compiles_from
 from deep_curiosity.training.lease import Lease
 from deep_curiosity.training.log import (
     CONFIG,
@@ -448,7 +448,8 @@ def _follows_schedule(config: Config) -> bool:
 def _print_machine(config: Config) -> None:
     """Say how the run computes."""
     precision, device = config.speed.matmul_precision, config.speed.device
-    how = "compiled" if compiles(config) else "eager"
+    start = compiles_from(config)
+    how = "eager" if start is None else f"compiled from step {start}, which takes half a minute"
     error = matmul_error(device)
     print(f"Matrix products {precision}, relative error {error:.1e}; updates {how}", flush=True)
 

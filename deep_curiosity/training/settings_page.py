@@ -11,7 +11,7 @@ from deep_curiosity.training.config import PRESETS, Config
 INTRODUCTION = """\
 # Settings
 
-Every setting has one name. It is a flag of `scripts/train.py` (`--total-steps 8000`; `--no-`
+Every setting has one name. It is a flag of `deep-curiosity train` (`--total-steps 8000`; `--no-`
 before the name of a switch turns it off), a keyword in Python (`Config.of(total_steps=8000)`) and
 an entry of a run's `config.json`. A setting that would do nothing in a run is refused. `--help`
 lists the common ones, `--help-all` all. `python -m deep_curiosity.training.settings_page` writes

@@ -1,4 +1,9 @@
 """Wrappers that bring what a task says, in whatever form, to the one form that is trained on."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
+
+from deep_curiosity.requirements import require_training
+
+require_training()
 
 from typing import Any
 

@@ -11,6 +11,10 @@ Example:
 
 # ruff: noqa: E402, MuJoCo has to be loaded before the tasks import it
 
+from deep_curiosity.requirements import require
+
+require("gymnasium", "mujoco", extra="envs")
+
 import gymnasium
 
 from deep_curiosity_envs.engine import load_engine

@@ -23,7 +23,7 @@ PAGES = {
 @pytest.mark.parametrize("folder", PAGES)
 def test_every_study_has_its_command_on_its_page_and_no_other_is_there(folder):
     page = (ROOT / folder / "README.md").read_text()
-    commands = re.findall(r"^\.venv/bin/python scripts/study\.py (\w+)", page, flags=re.M)
+    commands = re.findall(r"^deep-curiosity study (\w+)", page, flags=re.M)
     assert set(commands) == set(PAGES[folder])
     assert folder in {str(path) for path in FOLDERS.values()}
 

@@ -19,10 +19,10 @@ from torchrl.modules import NormalParamExtractor, ProbabilisticActor, TanhNormal
 from torchrl.objectives import HardUpdate, SACLoss, SoftUpdate, ValueEstimators
 
 import deep_curiosity_envs  # noqa: F401  # registers the tasks
+from deep_curiosity import requirements
 from deep_curiosity.bonuses.base import Bonus, Policy
 from deep_curiosity.bonuses.curiosity import CuriosityBonus
 from deep_curiosity.bonuses.learner import BonusLearner
-from deep_curiosity.integrations import requirements
 from deep_curiosity.integrations.check import check_integration
 from deep_curiosity.integrations.torchrl import (
     BonusLoss,

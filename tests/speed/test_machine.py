@@ -1,5 +1,6 @@
 import shutil
 
+import numpy as np
 import pytest
 import torch
 
@@ -12,7 +13,8 @@ from deep_curiosity.speed.machine import (
     should_compile,
 )
 from deep_curiosity.training import Config, continue_run, train
-from deep_curiosity.training.learner import Learner, compiles
+from deep_curiosity.training import learner as learner_module
+from deep_curiosity.training.learner import Learner, compiles, compiles_from
 from deep_curiosity.training.log import read_config
 from deep_curiosity.training.run import open_run
 
@@ -122,6 +124,39 @@ def test_auto_compiles_where_the_planned_updates_pay_for_it(
     monkeypatch.setattr(shutil, "which", lambda name: "/a/compiler")
     config = Config.of(total_steps=total_steps, update_to_data=update_to_data)
     assert compiles(config) == worth_it
+
+
+@pytest.mark.parametrize(
+    ("settings", "start"),
+    [
+        ({"compile": "auto"}, 1_000),
+        ({"compile": "auto", "update_to_data": 0.3}, 500 + 1_667),
+        ({"compile": "on"}, 500),
+        ({"compile": "off"}, None),
+        ({"compile": "auto", "total_steps": 5_400}, None),
+    ],
+    ids=str,
+)
+def test_a_run_is_seen_to_learn_before_auto_compiles(monkeypatch, settings, start):
+    monkeypatch.setattr(shutil, "which", lambda name: "/a/compiler")
+    config = Config.of(**{"learning_starts": 500, "total_steps": 40_000} | settings)
+    assert compiles_from(config) == start
+
+
+@pytest.mark.parametrize(("switch", "at_first"), [("auto", False), ("on", True)])
+def test_the_step_alone_says_when_a_graph_is_made(tiny, monkeypatch, switch, at_first):
+    made = []
+    monkeypatch.setattr(shutil, "which", lambda name: "/a/compiler")
+    monkeypatch.setattr(learner_module, "compiled", lambda update, **how: made.append(how))
+    learner = Learner(tiny.override(compile=switch, total_steps=9_000), 3, 1)
+    assert len(made) == at_first
+    for step in (0, 519, 520, 521):
+        learner.before_step(step, np.zeros((1, 3)), {})
+        assert len(made) == (at_first or step >= 520)
+    resumed = Learner(tiny.override(compile=switch, total_steps=9_000), 3, 1)
+    resumed.before_step(700, np.zeros((1, 3)), {})
+    assert len(made) == 2
+    assert {how["fall_back"] for how in made} == {switch == "auto"}
 
 
 def test_auto_compiles_nothing_without_a_compiler(monkeypatch):

@@ -177,6 +177,19 @@ def test_a_run_of_another_machine_is_loaded_here(run_of, tmp_path):
     np.testing.assert_array_equal(dc.load(folder).predict(OBSERVATIONS)[0], expected)
 
 
+def test_a_run_is_loaded_that_is_older_than_a_setting(run_of, tmp_path):
+    folder = shutil.copytree(run_of(bonus="rnd"), tmp_path / "older")
+    values = json.loads((folder / "config.json").read_text())
+    del values["random_features"], values["threads"]
+    (folder / "config.json").write_text(json.dumps(values))
+    policy, same = dc.load(folder), dc.load(run_of(bonus="rnd"))
+    assert policy.config == same.config.override(out=folder)
+    np.testing.assert_array_equal(policy.predict(OBSERVATIONS)[0], same.predict(OBSERVATIONS)[0])
+    (folder / "config.json").write_text(json.dumps(values | {"bonus": "luck"}))
+    with pytest.raises(ValueError, match=r"config.json: `bonus` must be one of"):
+        dc.load(folder)
+
+
 def test_a_folder_without_a_run_is_named(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"a run must have a config.json, got "):
         dc.load(tmp_path)

@@ -1,4 +1,4 @@
-"""The studies of this project: each a value, made by `scripts/study.py NAME`; or a user's own."""
+"""The studies of this project, each a value, run by `deep-curiosity study`; or a user's own."""
 
 import sys
 from difflib import get_close_matches

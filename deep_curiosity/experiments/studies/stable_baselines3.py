@@ -1,4 +1,9 @@
 """Stable-Baselines3's SAC and TD3 with a curious replay buffer and without."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
+
+from deep_curiosity.requirements import require
+
+require("stable_baselines3", extra="sb3")
 
 import time
 from copy import deepcopy

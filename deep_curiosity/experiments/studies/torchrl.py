@@ -1,4 +1,9 @@
 """Torchrl's own soft actor-critic with our transform on its replay buffer and without."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
+
+from deep_curiosity.requirements import require
+
+require("torchrl", extra="torchrl")
 
 import time
 

@@ -1,4 +1,9 @@
 """A short profile of an environment: range and tails of its observations."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
+
+from deep_curiosity.requirements import require
+
+require("gymnasium", extra="envs")
 
 from dataclasses import dataclass
 

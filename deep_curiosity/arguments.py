@@ -1,10 +1,13 @@
-"""What all command lines share: options read into a dataclass, mistakes answered in one line."""
+"""How command lines are read: options into a dataclass, each with what is said of a wrong word."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
 
-import re
+from deep_curiosity.requirements import require
+
+require("tyro", extra="train")
+
 import sys
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -13,9 +16,6 @@ import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 Args = TypeVar("Args")
-MISTAKE = 2  # exit status where the user can mend what is wrong, as of the parser itself
-INTERRUPTED = 130  # as of a shell's command that Ctrl-C has ended
-NAMED = re.compile(r"`[^`\n]+`")  # how messages name the argument that they are about
 
 
 def read_arguments(
@@ -23,6 +23,7 @@ def read_arguments(
     arguments: Sequence[str] | None = None,
     *,
     description: str | None = None,
+    prog: str | None = None,
 ) -> Args:
     """Read a command line into a dataclass; what cannot be read ends the process.
 
@@ -30,6 +31,7 @@ def read_arguments(
         what: A dataclass, whose comments are the help of its fields.
         arguments: Those of the process when `None`.
         description: Of the command, for its help.
+        prog: How the command is called, for its help.
 
     Raises:
         SystemExit: With status 2, once it is printed what is wrong with which option.
@@ -38,33 +40,7 @@ def read_arguments(
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     _refuse_repeated(given)
-    return tyro.cli(what, args=given, description=description, registry=REGISTRY)
-
-
-@contextmanager
-def answering() -> Iterator[None]:
-    """End the process with one line about a mistake of the user; a bug keeps its traceback.
-
-    Raises:
-        SystemExit: With status 2 where the error says what to change, 130 on Ctrl-C.
-    """
-    try:
-        yield
-    except KeyboardInterrupt:
-        sys.exit(INTERRUPTED)
-    except Exception as error:
-        if not is_answer(error):
-            raise
-        print(f"error: {' '.join(str(error).split())}", file=sys.stderr)
-        sys.exit(MISTAKE)
-
-
-def is_answer(error: Exception) -> bool:
-    """Whether an error says what to change: it is about the machine, or names an argument."""
-    if isinstance(error, ImportError | OSError) or type(error).__module__ == "gymnasium.error":
-        return True
-    kinds = ArithmeticError | RuntimeError | TypeError | ValueError
-    return isinstance(error, kinds) and NAMED.search(str(error)) is not None
+    return tyro.cli(what, args=given, description=description, prog=prog, registry=REGISTRY)
 
 
 def check_folder(name: str, path: Path) -> None:
@@ -80,6 +56,21 @@ def check_folder(name: str, path: Path) -> None:
             raise ValueError(f"`{name}` must be a folder, got {str(path)!r}: {error}.") from error
         if is_file:
             raise ValueError(f"`{name}` must be a folder, got {path}, where {each} is a file.")
+
+
+def check_file(name: str, path: Path) -> None:
+    """Reject the path of what cannot become a file.
+
+    Raises:
+        ValueError: Naming the option and the path.
+    """
+    check_folder(name, path.parent)
+    try:
+        is_folder = path.is_dir()
+    except (OSError, ValueError) as error:  # too long, or with a NUL
+        raise ValueError(f"`{name}` must be a file, got {str(path)!r}: {error}.") from error
+    if is_folder:
+        raise ValueError(f"`{name}` must be a file, got {path}, which is a folder.")
 
 
 def _refuse_repeated(arguments: Sequence[str]) -> None:

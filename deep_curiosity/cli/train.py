@@ -1,0 +1,20 @@
+"""Train the curious agent on a continuous-control task; --help-all shows every setting."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
+
+from deep_curiosity.requirements import require_training
+
+require_training()
+
+from collections.abc import Sequence
+
+from deep_curiosity.training import train
+from deep_curiosity.training.command_line import parse
+
+
+def main(arguments: Sequence[str]) -> int:
+    """Train, and say where the run lies."""
+    command = parse(arguments, description=__doc__ or "", prog="deep-curiosity train")
+    summary = train(command.config, resume=command.resume)
+    folder = command.config.run.out
+    print(f"evaluation return {summary['evaluation_return']}, records in {folder}")
+    return 0

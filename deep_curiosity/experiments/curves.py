@@ -1,0 +1,224 @@
+"""Learning curves of runs that lie in folders: read, grouped by what sets them apart, drawn."""
+
+import json
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from deep_curiosity.experiments.figures import draw_curve, estimate_curve, label_beside
+from deep_curiosity.experiments.study import Row
+from deep_curiosity.training.config import IGNORED
+from deep_curiosity.training.log import CONFIG, read_progress, read_values
+
+TAGS = (
+    "eval/return",
+    "episode/return_mean",
+    "eval/success_rate",
+    "episode/coverage",
+    "curiosity/nats",
+)
+"""What is drawn by default, as far as the runs have it."""
+OF_THE_TASK = ("env_id", "env_kwargs")
+OF_NO_AGENT = (*IGNORED, *OF_THE_TASK, "seed", "total_steps", "threads", "device", "compile")
+"""Settings in which runs of one agent may differ."""
+ASSETS = files("deep_curiosity.experiments") / "assets"
+
+
+@dataclass(frozen=True)
+class RunCurves:
+    """What a run logged.
+
+    Args:
+        folder: Where it lies.
+        task: Its environment, with arguments.
+        agent: What sets it apart from the other runs.
+        rows: Rows of its progress.csv, as numbers; what is missing is NaN.
+    """
+
+    folder: Path
+    task: str
+    agent: str
+    rows: list[dict[str, float]]
+
+
+def find_runs(paths: Iterable[Path]) -> list[Path]:
+    """Folders of runs: each path is one, or has some somewhere below it.
+
+    Raises:
+        FileNotFoundError: If a path has no run.
+    """
+    found: dict[Path, None] = {}
+    for path in paths:
+        folders = [config.parent for config in sorted(path.rglob(CONFIG))]
+        if not folders:
+            raise FileNotFoundError(f"`runs` must be folders of runs, got {path}, which has none.")
+        found |= dict.fromkeys(folders)
+    return list(found)
+
+
+def read_runs(folders: Sequence[Path], group_by: Sequence[str] = ()) -> list[RunCurves]:
+    """Read runs, and name the agent of each by the settings that set it apart.
+
+    Args:
+        folders: Of the runs.
+        group_by: Settings by which agents are told apart; by default all in which the runs
+            differ, but for the seed and where and how long they ran.
+
+    Raises:
+        ValueError: If a setting to group by is none of the runs'.
+    """
+    settings = [read_values(folder) for folder in folders]
+    known = {name for values in settings for name in values}
+    if unknown := sorted(set(group_by) - known):
+        raise ValueError(f"`group_by` must be settings of the runs, got {', '.join(unknown)}.")
+    names = group_by or _differing(settings)
+    return [
+        RunCurves(folder, _task_of(values), _agent_of(values, names), _numbers(folder))
+        for folder, values in zip(folders, settings, strict=True)
+    ]
+
+
+def _differing(settings: Sequence[dict[str, Any]]) -> list[str]:
+    """Settings in which runs differ that have them; the bonus goes first."""
+    names = dict.fromkeys(["bonus", *(name for values in settings for name in values)])
+    return [
+        name
+        for name in names
+        if name not in OF_NO_AGENT
+        and len({json.dumps(values[name]) for values in settings if name in values}) > 1
+    ]
+
+
+def _task_of(values: dict[str, Any]) -> str:
+    name = values["env_id"].removeprefix("deep_curiosity/").removesuffix("-v0")
+    arguments = [f"{key} {value}" for key, value in values.get("env_kwargs", {}).items()]
+    return ", ".join([name, *arguments])
+
+
+def _agent_of(values: dict[str, Any], names: Sequence[str]) -> str:
+    """Name of an agent: its bonus, where agents differ in it, and its other settings."""
+    parts = [
+        f"{values[name]}" if name == "bonus" else f"{name} {values[name]}"
+        for name in names
+        if name in values
+    ]
+    return ", ".join(parts) or f"{values['bonus']}"
+
+
+def _numbers(folder: Path) -> list[dict[str, float]]:
+    return [
+        {name: float(value or "nan") for name, value in row.items()}
+        for row in read_progress(folder)
+    ]
+
+
+def known_tags(runs: Sequence[RunCurves], tags: Sequence[str]) -> list[str]:
+    """The tags of which the runs have numbers; where none is named, the usual ones.
+
+    Raises:
+        ValueError: If a tag is named that no run has, or no run has anything to draw.
+    """
+    there = {
+        tag: None
+        for run in runs
+        for row in run.rows
+        for tag, value in row.items()
+        if tag != "step" and math.isfinite(value)
+    }
+    if unknown := [tag for tag in tags if tag not in there]:
+        raise ValueError(
+            f"`tags` must be of {', '.join(there) or 'a run that has learned'}, "
+            f"got {', '.join(unknown)}."
+        )
+    drawn = list(tags) or [tag for tag in TAGS if tag in there]
+    if not drawn:
+        raise ValueError(f"`runs` must have logged something, got {len(runs)} that have not.")
+    return drawn
+
+
+def _points(runs: Sequence[RunCurves], task: str, agent: str, tag: str) -> list[Row]:
+    """Every number that runs of an agent on a task logged under a tag."""
+    return [
+        {"step": int(row["step"]), tag: row[tag]}
+        for run in runs
+        if (run.task, run.agent) == (task, agent)
+        for row in run.rows
+        if math.isfinite(row.get(tag, math.nan))
+    ]
+
+
+def _names(runs: Sequence[RunCurves], attribute: str) -> list[str]:
+    return list(dict.fromkeys(getattr(run, attribute) for run in runs))
+
+
+def plot_png(path: Path, runs: Sequence[RunCurves], tags: Sequence[str]) -> None:
+    """A line of panels for each tag, one for each task: interquartile mean and 95 % interval."""
+    tasks, agents = _names(runs, "task"), _names(runs, "agent")
+    size = 5.6 * len(tasks), 3.9 * len(tags)
+    figure = Figure(figsize=size, layout="constrained")
+    panels = figure.subplots(len(tags), len(tasks), squeeze=False)
+    for line, tag in zip(panels, tags, strict=True):
+        for axes, task in zip(line, tasks, strict=True):
+            ends = {}
+            for number, agent in enumerate(agents):
+                if points := _points(runs, task, agent, tag):
+                    steps, estimates = estimate_curve(points, tag)
+                    draw_curve(axes, steps, estimates, f"C{number}")
+                    count = sum((run.task, run.agent) == (task, agent) for run in runs)
+                    ends[f"{agent} ({count})", f"C{number}"] = estimates[-1].value
+            axes.set(title=task, xlabel="environment steps", ylabel=tag)
+            label_beside(axes, ends)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=120)
+
+
+def write_page(path: Path, runs: Sequence[RunCurves], tags: Sequence[str]) -> None:
+    """One HTML page with all curves, to hover over, choose from and compare, without a network."""
+    page = (ASSETS / "curves.html").read_text()
+    parts = {
+        "STYLE": (ASSETS / "uPlot.min.css").read_text(),
+        "LIBRARY": (ASSETS / "uPlot.iife.min.js").read_text(),
+        "DATA": json.dumps(page_data(runs, tags), allow_nan=False).replace("</", "<\\/"),
+    }
+    for name, text in parts.items():
+        page = page.replace(f"/*{name}*/", text)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(page)
+
+
+def page_data(runs: Sequence[RunCurves], tags: Sequence[str]) -> dict[str, Any]:
+    """What the page shows: for each task and tag the curves of every agent, and of its runs."""
+    tasks, agents = _names(runs, "task"), _names(runs, "agent")
+    curves = {task: {tag: _panel(runs, task, agents, tag) for tag in tags} for task in tasks}
+    return {"tags": list(tags), "agents": agents, "curves": curves}
+
+
+def _panel(
+    runs: Sequence[RunCurves], task: str, agents: Sequence[str], tag: str
+) -> dict[str, Any]:
+    """Steps, and for each agent what lies there; `None` where nothing does."""
+    points = {agent: _points(runs, task, agent, tag) for agent in agents}
+    steps = sorted({point["step"] for own in points.values() for point in own})
+    panel: dict[str, Any] = {"steps": steps, "agents": {}}
+    for agent in agents:
+        if points[agent]:
+            there = dict(zip(*estimate_curve(points[agent], tag), strict=True))
+            own = [run for run in runs if (run.task, run.agent) == (task, agent)]
+            panel["agents"][agent] = {
+                "value": [there[step].value if step in there else None for step in steps],
+                "low": [there[step].low if step in there else None for step in steps],
+                "high": [there[step].high if step in there else None for step in steps],
+                "runs": {str(run.folder): _of_run(run, tag, steps) for run in own},
+            }
+    return panel
+
+
+def _of_run(run: RunCurves, tag: str, steps: Sequence[int]) -> list[float | None]:
+    values = {int(row["step"]): row.get(tag, math.nan) for row in run.rows}
+    found = [values.get(step, math.nan) for step in steps]
+    return [value if math.isfinite(value) else None for value in found]

@@ -1,0 +1,47 @@
+import os
+import subprocess
+import sys
+
+import imageio.v2 as imageio
+import numpy as np
+import pytest
+
+from deep_curiosity.cli import main
+from deep_curiosity.training import train
+
+
+def test_a_conditioned_run_is_played_at_several_hungers(tiny, capsys, refusal):
+    train(tiny.override(hunger="random"), show_progress=False)
+    capsys.readouterr()
+    folder = str(tiny.run.out)
+    assert main(["evaluate", folder, "--episodes", "1", "--hunger", "0", "0.5", "1"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.partition(": return")[0].split()[-1] for line in lines] == ["0", "0.5", "1"]
+    assert "`hunger` must be at most 1, got 2.0" in refusal("evaluate", folder, "--hunger", 2)
+
+
+def test_a_video_is_written_where_something_renders(tiny, tmp_path):
+    video = tmp_path / "video.gif"
+    task = {"env_id": "ReacherSparse", "env_kwargs": {}, "frame_stack": 2}
+    train(tiny.override(**task), show_progress=False)
+    arguments = ["evaluate", str(tiny.run.out), "--episodes", "1", "--video", str(video)]
+    played = subprocess.run(
+        [sys.executable, "-m", "deep_curiosity", *arguments],
+        capture_output=True,
+        text=True,
+        env=os.environ | {"MUJOCO_GL": "egl"},
+    )
+    if played.returncode:
+        assert "error: MuJoCo could not start OpenGL" in played.stderr
+        pytest.skip("nothing renders here")
+    frames = np.stack(imageio.mimread(video))[..., :3]
+    assert len(frames) == 100
+    assert (frames[0] != frames[0, 0, 0]).any(-1).mean() > 0.01  # something is there
+    assert (frames[0] != frames[-1]).any()  # and moves
+
+
+def test_a_missing_video_package_is_asked_for_by_name(tmp_path, monkeypatch, refusal):
+    monkeypatch.setitem(sys.modules, "imageio", None)
+    for command in (["evaluate", tmp_path], ["demo"]):
+        answer = refusal(*command, "--video", tmp_path / "film.gif")
+        assert "pip install 'deep-curiosity[video]'" in answer

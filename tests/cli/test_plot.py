@@ -1,0 +1,23 @@
+import pytest
+
+from deep_curiosity.cli import main
+from deep_curiosity.training import train
+
+
+def test_runs_become_a_picture_and_a_page(tiny, tmp_path, capsys):
+    for seed in (0, 1):
+        run = tiny.override(seed=seed, out=tmp_path / "runs" / str(seed))
+        train(run, show_progress=False)
+    out = tmp_path / "figures" / "v1.2"
+    assert main(["plot", str(tmp_path / "runs"), "--out", str(out)]) == 0
+    assert "2 runs in " in capsys.readouterr().out
+    assert (tmp_path / "figures" / "v1.2.png").stat().st_size > 10_000
+    page = (tmp_path / "figures" / "v1.2.html").read_text()
+    assert '"PendulumSwingup, action_cost 0.1"' in page
+    assert '"curiosity/nats"' in page
+
+
+@pytest.mark.parametrize("arguments", [["no/such"], [".", "--tags", "agent/luck"]], ids=str)
+def test_what_cannot_be_drawn_is_answered_in_one_line(arguments, tmp_path, monkeypatch, refusal):
+    monkeypatch.chdir(tmp_path)
+    assert refusal("plot", *arguments).startswith("error: `runs` must be folders of runs, got ")

@@ -1,0 +1,55 @@
+import json
+import subprocess
+import sys
+
+import pytest
+
+TINY = (
+    "--total-steps 60 --learning-starts 20 --hidden-dim 16 --batch-size 32 --components 16 "
+    "--num-members 2 --log-interval 20 --evaluation-episodes 1"
+).split()
+
+
+def run(*arguments):
+    """Run a command in a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-m", "deep_curiosity", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+    )
+
+
+def test_train_resume_and_evaluate(tmp_path):
+    out = tmp_path / "run"
+    trained = run("train", "--env-id", "PointMaze", *TINY, "--out", out)
+    assert trained.returncode == 0, trained.stderr
+    assert "nats=" in trained.stderr
+    resumed = run("train", "--resume", out, "--total-steps", 80)
+    assert resumed.returncode == 0, resumed.stderr
+    assert json.loads((out / "summary.json").read_text())["total_steps"] == 80
+    evaluated = run("evaluate", out, "--episodes", 2)
+    assert evaluated.returncode == 0, evaluated.stderr
+    assert evaluated.stdout.startswith("PointMaze: return ")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--env-id", "CartPole-v1"], "error: `action_space` must be a Box"),
+        (["--env-id", "NoSuchTask-v0"], "error: `env_id` must be a registered id"),
+        (["--num-members", "1"], "error: `num_members` must be at least 2"),
+        (["--resume", "no/such/folder"], "error: a run must have a config.json"),
+    ],
+    ids=str,
+)
+def test_a_mistake_on_the_command_line_is_answered_in_one_line(
+    tmp_path, refusal, arguments, message
+):
+    out = [] if "--resume" in arguments else ["--out", tmp_path / "run"]
+    printed = refusal("train", *arguments, *out)
+    assert printed.startswith(message)
+    assert printed.count("\n") == 1
+
+
+def test_a_word_that_is_no_choice_is_answered_with_the_choices(refusal):
+    assert "curiosity" in refusal("train", "--bonus", "noise")

@@ -1,0 +1,150 @@
+import csv
+import json
+import re
+
+import pytest
+
+from deep_curiosity.experiments.curves import (
+    find_runs,
+    known_tags,
+    page_data,
+    plot_png,
+    read_runs,
+    write_page,
+)
+from deep_curiosity.experiments.statistics import bootstrap
+from deep_curiosity.training import Config
+
+RETURNS = {  # of two agents on one task, and of one on another
+    ("PointMaze", "curiosity"): [1.0, 2.0, 6.0],
+    ("PointMaze", "none"): [0.0, 0.5],
+    ("PendulumSwingup", "curiosity"): [3.0],
+}
+
+
+def write_run(folder, config, returns):
+    """A folder as a run leaves it, with evaluations at steps 500, 1000 and so on."""
+    folder.mkdir(parents=True)
+    (folder / "config.json").write_text(json.dumps(config.to_json(), default=str))
+    with (folder / "progress.csv").open("w", newline="") as file:
+        rows = csv.writer(file)
+        rows.writerow(["step", "eval/return", "eval/success_rate", "time/steps_per_second"])
+        for number, value in enumerate(returns, start=1):
+            rows.writerow([500 * number, value, "", 80.0])
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for (env_id, bonus), returns in RETURNS.items():
+        for seed, value in enumerate(returns):
+            config = Config.of(env_id=env_id, bonus=bonus, seed=seed)
+            write_run(tmp_path / f"{env_id}-{bonus}-{seed}", config, [value, value + 1])
+    return tmp_path
+
+
+@pytest.fixture
+def runs(folder):
+    return read_runs(find_runs([folder]))
+
+
+def test_runs_are_found_below_a_folder_each_once(folder):
+    one = folder / "PointMaze-none-0"
+    assert len(find_runs([folder])) == 6
+    assert find_runs([one, folder, one])[0] == one
+    assert len(find_runs([one, folder, one])) == 6
+    with pytest.raises(FileNotFoundError, match=r"`runs` must be folders of runs, got .*nothing"):
+        find_runs([folder / "nothing"])
+
+
+def test_an_agent_is_named_by_what_sets_it_apart_and_seeds_do_not(runs):
+    assert {(run.task, run.agent) for run in runs} == set(RETURNS)
+
+
+def test_runs_that_differ_in_nothing_are_one_agent_named_by_its_bonus(folder):
+    (run,) = read_runs([folder / "PendulumSwingup-curiosity-0"])
+    assert run.agent == "curiosity"
+
+
+def test_other_settings_are_named_and_how_long_a_run_is_sets_none_apart(folder):
+    config = Config.of(env_id="PointMaze", bonus="none", hidden_dim=64, total_steps=3_000)
+    write_run(folder / "wide", config, [1.0])
+    agents = {run.agent for run in read_runs(find_runs([folder])) if run.task == "PointMaze"}
+    assert agents == {"curiosity, hidden_dim 256", "none, hidden_dim 256", "none, hidden_dim 64"}
+    by_bonus = read_runs(find_runs([folder]), ["bonus"])
+    assert {run.agent for run in by_bonus} == {"curiosity", "none"}
+    with pytest.raises(ValueError, match="`group_by` must be settings of the runs, got width"):
+        read_runs(find_runs([folder]), ["width"])
+
+
+def test_arguments_of_an_environment_make_a_task(folder):
+    config = Config.of(env_id="PendulumSwingup", env_kwargs={"action_cost": 0.1})
+    write_run(folder / "costly", config, [1.0])
+    tasks = {run.task for run in read_runs(find_runs([folder]))}
+    assert tasks == {"PointMaze", "PendulumSwingup", "PendulumSwingup, action_cost 0.1"}
+
+
+def test_tags_are_those_that_have_numbers(runs):
+    assert known_tags(runs, []) == ["eval/return"]
+    assert known_tags(runs, ["time/steps_per_second"]) == ["time/steps_per_second"]
+    with pytest.raises(ValueError, match=r"`tags` must be of eval/return, .*, got eval/succ"):
+        known_tags(runs, ["eval/success_rate"])
+
+
+def test_a_run_that_has_logged_nothing_is_said_to(folder):
+    write_run(folder / "new" / "run", Config(), [])
+    with pytest.raises(ValueError, match="`runs` must have logged something, got 1 that have not"):
+        known_tags(read_runs([folder / "new" / "run"]), [])
+
+
+def test_the_page_has_means_intervals_and_every_run(runs):
+    data = page_data(runs, ["eval/return"])
+    panel = data["curves"]["PointMaze"]["eval/return"]
+    assert panel["steps"] == [500, 1000]
+    curious = panel["agents"]["curiosity"]
+    for place, returns in enumerate(([1.0, 2.0, 6.0], [2.0, 3.0, 7.0])):
+        expected = bootstrap([returns])
+        shown = curious["value"][place], curious["low"][place], curious["high"][place]
+        assert shown == tuple(expected)
+    assert sorted(curious["runs"].values()) == [[1.0, 2.0], [2.0, 3.0], [6.0, 7.0]]
+    assert set(data["curves"]["PendulumSwingup"]["eval/return"]["agents"]) == {"curiosity"}
+
+
+def test_where_a_run_has_no_row_the_others_are_averaged(folder):
+    config = Config.of(env_id="PointMaze", bonus="none", seed=7)
+    write_run(folder / "longer", config, [0.25, 1.0, 9.0])
+    data = page_data(read_runs(find_runs([folder])), ["eval/return"])
+    panel = data["curves"]["PointMaze"]["eval/return"]
+    assert panel["steps"] == [500, 1000, 1500]
+    assert panel["agents"]["none"]["value"][2] == 9.0
+    assert panel["agents"]["curiosity"]["value"][2] is None
+
+
+def test_the_page_needs_nothing_but_itself(runs, tmp_path):
+    path = tmp_path / "out" / "curves.html"
+    write_page(path, runs, ["eval/return"])
+    page = path.read_text()
+    assert not re.findall(r"""(?:src|href)\s*=\s*["']|@import|url\(|fetch\(""", page)
+    assert not re.findall(r"/\*(?:STYLE|LIBRARY|DATA)\*/", page)
+    (data,) = re.findall(r"^const data = (.*);$", page, re.MULTILINE)
+    assert json.loads(data) == page_data(runs, ["eval/return"])
+
+
+def test_a_name_cannot_end_the_script(folder):
+    write_run(folder / "</script>", Config.of(env_id="PointMaze"), [1.0])
+    path = folder / "curves.html"
+    write_page(path, read_runs(find_runs([folder])), ["eval/return"])
+    assert path.read_text().count("</script>") == 2
+
+
+def test_the_picture_has_a_panel_for_each_task_and_tag(runs, tmp_path):
+    small, large = tmp_path / "small.png", tmp_path / "large.png"
+    plot_png(small, [run for run in runs if run.task == "PointMaze"], ["eval/return"])
+    plot_png(large, runs, ["eval/return", "time/steps_per_second"])
+    (width, height), (wider, higher) = map(png_size, (small, large))
+    assert (wider, higher) == (2 * width, 2 * height)
+
+
+def png_size(path):
+    header = path.read_bytes()
+    assert header[1:4] == b"PNG"
+    return int.from_bytes(header[16:20], "big"), int.from_bytes(header[20:24], "big")
