@@ -46,6 +46,14 @@ def test_train_resume_and_evaluate(tmp_path):
     assert evaluated.stdout.startswith("PointMaze: return ")
 
 
+def test_a_run_stops_when_it_is_solved(tmp_path, monkeypatch, capsys):
+    out = tmp_path / "run"
+    solved = ["--evaluation-interval", 40, "--stop-when-solved", -1e9]
+    run_here(monkeypatch, "train.py", "--env-id", "PointMaze", *TINY, "--out", out, *solved)
+    assert json.loads((out / "summary.json").read_text())["total_steps"] == 40
+    assert "Stopped at step 40; continue with --resume" in capsys.readouterr().out
+
+
 def test_a_conditioned_run_is_played_at_several_hungers(tiny, monkeypatch, capsys):
     train(tiny.override(hunger="random"), show_progress=False)
     capsys.readouterr()

@@ -55,6 +55,7 @@ PRESET_HELP = (
     "batch; or paper, which besides renews the marginal at every update."
 )
 RESUME_HELP = "Folder of a run to continue, in place; only total_steps may be changed."
+STOP_HELP = "Mean return of an evaluation from which the run stops, as solved; it can be resumed."
 
 
 class Command(NamedTuple):
@@ -62,6 +63,7 @@ class Command(NamedTuple):
 
     config: Config
     resume: bool
+    stop_when_solved: float | None = None
 
 
 def parse(arguments: Sequence[str] | None = None, *, description: str) -> Command:
@@ -87,7 +89,7 @@ def parse(arguments: Sequence[str] | None = None, *, description: str) -> Comman
     )
     read = vars(tyro.cli(_command_class(base, show_all), args=given, description=description))
     values = {name: _from_text(flat(base)[name], read[name]) for name in flat(base)}
-    return Command(base.override(**values), resume is not None)
+    return Command(base.override(**values), resume is not None, read["stop_when_solved"])
 
 
 def _peek(arguments: list[str], flag: str) -> str | None:
@@ -110,10 +112,12 @@ def _command_class(base: Config, show_all: bool) -> type:
     bonus = Annotated[Literal[tuple(BONUS_CONFIGS)], tyro.conf.arg(help=BONUS_HELP)]  # type: ignore[valid-type]
     preset = Annotated[Literal[tuple(PRESETS)], tyro.conf.arg(help=PRESET_HELP)]  # type: ignore[valid-type]
     resumed = Annotated[Path | None, tyro.conf.arg(help=RESUME_HELP)]
+    solved = Annotated[float | None, tyro.conf.arg(help=STOP_HELP)]
     own: list[Any] = [
         ("resume", resumed, field(default=None)),
         ("bonus", bonus, field(default=base.bonus.kind)),
         ("preset", preset, field(default="fast")),
+        ("stop_when_solved", solved, field(default=None)),
     ]
     for name, each in flat(base).items():
         hidden = () if show_all or name in COMMON else (tyro.conf.Suppress,)

@@ -7,6 +7,7 @@ from typing import Any
 from torch import Tensor
 from tqdm import tqdm
 
+from deep_curiosity.training.callbacks import Callback, call
 from deep_curiosity.training.config import Config
 from deep_curiosity.training.figures import plot_run
 from deep_curiosity.training.hunger import HungerFunction
@@ -20,11 +21,14 @@ def train(
     *,
     resume: bool = False,
     hunger: HungerFunction | None = None,
+    on_evaluation: Callback | None = None,
+    on_log: Callback | None = None,
     show_progress: bool = True,
 ) -> dict[str, Any]:
     """Train an agent and leave its records in a folder.
 
-    Ctrl-C ends the run after the step in progress, with a checkpoint to continue from.
+    Ctrl-C ends the run after the step in progress, with a checkpoint to continue from; so does a
+    callback that returns `True`.
 
     Args:
         config: Settings of the run.
@@ -34,6 +38,10 @@ def train(
             the observations, `(num_envs, observation_dim)`, and the `info` that came with them, to
             one number, or one for each environment; in [0, 1] where the agent is conditioned on
             its hunger. A resumed run must be given it again.
+        on_evaluation: Called after every evaluation with the step and its `eval/return` and
+            `eval/success_rate`; `True` stops the run.
+        on_log: Called at every row of progress.csv with the step and the values of the row, by
+            their tags; `True` stops the run.
         show_progress: Show a bar with return, bonus in nats and steps per second.
 
     Returns:
@@ -82,9 +90,11 @@ def train(
 
             # Evaluate without noise, log, keep a checkpoint
             if run.reached(course.evaluation_interval) or run.finished:
-                run.evaluate()
+                evaluation = run.evaluate()
+                interruption.requested |= call(on_evaluation, run_log.step, evaluation)
             if metrics and (run.reached(course.log_interval) or run.finished):
                 values = run.progress(metrics)
+                interruption.requested |= call(on_log, run_log.step, values)
                 bar.set_postfix_str(_postfix(values), refresh=False)
             if run.reached(course.checkpoint_interval):
                 run.save()
@@ -105,6 +115,8 @@ def continue_run(
     *,
     total_steps: int | None = None,
     hunger: HungerFunction | None = None,
+    on_evaluation: Callback | None = None,
+    on_log: Callback | None = None,
     show_progress: bool = True,
 ) -> dict[str, Any]:
     """Continue the run in a folder, in place.
@@ -113,6 +125,8 @@ def continue_run(
         folder: Of the run.
         total_steps: Environment steps, those already taken included; as before when `None`.
         hunger: As in `train`.
+        on_evaluation: As in `train`.
+        on_log: As in `train`.
         show_progress: As in `train`.
 
     Returns:
@@ -124,7 +138,14 @@ def continue_run(
     config = read_config(Path(folder))
     if total_steps is not None:
         config = config.override(total_steps=total_steps)
-    return train(config, resume=True, hunger=hunger, show_progress=show_progress)
+    return train(
+        config,
+        resume=True,
+        hunger=hunger,
+        on_evaluation=on_evaluation,
+        on_log=on_log,
+        show_progress=show_progress,
+    )
 
 
 def _postfix(values: dict[str, float]) -> str:

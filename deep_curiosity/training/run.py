@@ -79,8 +79,8 @@ class Run:
             ratio * before
         )
 
-    def evaluate(self) -> None:
-        """Run the deterministic policy for whole episodes."""
+    def evaluate(self) -> dict[str, float]:
+        """Run the deterministic policy for whole episodes; what is logged of them."""
         episodes = evaluate(
             self.learner.evaluation_policy,
             self.evaluation_environment,
@@ -88,7 +88,9 @@ class Run:
             seed=EVALUATION_SEED,
         )
         self.run_log.evaluations.extend(episodes)
-        self.log.scalars(self.run_log.step, self._latest_evaluation())
+        values = self._latest_evaluation()
+        self.log.scalars(self.run_log.step, values)
+        return values
 
     def progress(self, metrics: dict[str, Tensor]) -> dict[str, float]:
         """Write down everything there is to tell at this step, and return it."""

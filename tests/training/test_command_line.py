@@ -12,6 +12,8 @@ from deep_curiosity.training.config import PRESETS, Config
 from deep_curiosity.training.log import open_folder
 from deep_curiosity.training.run import merge_config
 
+OF_THE_COMMAND_LINE = {"resume", "bonus", "preset", "stop-when-solved"}
+
 
 def read(*arguments):
     return parse([str(argument) for argument in arguments], description="A test.").config
@@ -56,17 +58,17 @@ def test_without_arguments_it_is_the_default():
 def test_help_shows_what_a_user_turns_and_help_all_the_rest(capsys):
     common = flags(capsys, "--help")
     assert 20 <= len(common) <= 32
-    assert common == dashed(COMMON) | {"resume", "bonus", "preset"}
+    assert common == dashed(COMMON) | OF_THE_COMMAND_LINE
     assert flags(capsys, "-h") == common
     everything = flags(capsys, "--help-all")
-    assert everything == dashed(flat(Config())) | {"resume", "bonus", "preset"}
+    assert everything == dashed(flat(Config())) | OF_THE_COMMAND_LINE
     assert len(everything) > 2 * len(common) - 10
 
 
 @pytest.mark.parametrize("bonus", BONUS_CONFIGS)
 def test_help_is_that_of_the_bonus(capsys, bonus):
     everything = flags(capsys, "--bonus", bonus, "--help-all")
-    assert everything == dashed(flat(Config.of(bonus=bonus))) | {"resume", "bonus", "preset"}
+    assert everything == dashed(flat(Config.of(bonus=bonus))) | OF_THE_COMMAND_LINE
 
 
 @pytest.mark.parametrize("bonus", BONUS_CONFIGS)
