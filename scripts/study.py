@@ -7,13 +7,14 @@ from typing import Annotated
 
 import tyro
 
+from deep_curiosity.experiments.engines import EngineArgs, make_engine
 from deep_curiosity.experiments.grid import overridden, part_of, run_study
 from deep_curiosity.experiments.studies import find_study
 from deep_curiosity.training.command_line import read_settings
 
 
-@dataclass(frozen=True)
-class Args:
+@dataclass(frozen=True, kw_only=True)
+class Args(EngineArgs):
     """What to study, and where."""
 
     study: Annotated[str, tyro.conf.Positional]
@@ -31,8 +32,6 @@ class Args:
     """Folder for the runs; finished ones there are not run again."""
     out: Path | None = None
     """Path of table, summary and figure, without suffix; by default as documented."""
-    workers: int = 2
-    """Processes at a time."""
 
 
 def main(args: Args) -> int:
@@ -41,7 +40,8 @@ def main(args: Args) -> int:
     study = replace(part_of(study, args.tasks, args.agents), seeds=args.seeds or study.seeds)
     study = overridden(study, read_settings(args.set))
     out = args.out or folder / "-".join((name, *args.tasks, *args.agents))
-    return run_study(study, runs=args.runs / name, out=out, workers=args.workers)
+    engine = make_engine(args, args.runs)
+    return run_study(study, runs=args.runs / name, out=out, engine=engine)
 
 
 if __name__ == "__main__":
@@ -49,3 +49,5 @@ if __name__ == "__main__":
         sys.exit(min(main(tyro.cli(Args, description=__doc__)), 1))
     except (ImportError, OSError, TypeError, ValueError) as error:
         sys.exit(f"error: {error}")
+    except KeyboardInterrupt:
+        sys.exit(130)

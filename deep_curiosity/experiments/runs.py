@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deep_curiosity import __version__
+from deep_curiosity.training.callbacks import Callback
 from deep_curiosity.training.config import Config, config_key
 from deep_curiosity.training.log import CONFIG, SUMMARY, read_progress, read_values
 from deep_curiosity.training.loop import train
@@ -28,12 +29,25 @@ MEASURED = (
 )
 
 
+class RunStoppedError(RuntimeError):
+    """A run was stopped before its end, and can go on from its checkpoint."""
+
+
 def run_own(cell: "Cell") -> "Result":
-    """Train an agent of this package, unless it is trained already, and measure it."""
+    """Train an agent of this package, unless it is trained already, and measure it.
+
+    Raises:
+        RunStoppedError: If the run is stopped before its end.
+    """
     from deep_curiosity.experiments.study import Result
 
     config = cell.config
     summary = run_once(config)
+    if summary["total_steps"] < config.run.total_steps:
+        raise RunStoppedError(
+            f"a run must reach its last step, {config.run.total_steps}, to be measured, got "
+            f"{config.run.out}, which was stopped at step {summary['total_steps']}."
+        )
     curve = [
         {"step": int(row["step"]), "evaluation_return": float(row[EVALUATION_TAG])}
         for row in read_progress(config.run.out)
@@ -52,15 +66,19 @@ def changed_settings(config: Config) -> str:
     return json.dumps({k: v for k, v in config.changes().items() if k != "out"})
 
 
-def run_once(config: Config) -> dict[str, Any]:
+def run_once(config: Config, on_evaluation: Callback | None = None) -> dict[str, Any]:
     """Summary of a run: read where it is finished, continued or begun where it is not.
+
+    Args:
+        config: Settings of the run.
+        on_evaluation: As in `train`.
 
     Raises:
         FileExistsError: If the folder holds a run of other settings.
     """
     folder = config.run.out
     if not (folder / CONFIG).exists():
-        return train(config, show_progress=False)
+        return train(config, on_evaluation=on_evaluation, show_progress=False)
     there, here = config_key(read_values(folder)), config_key(config.to_json())
     differing = {name for name in there.keys() | here.keys() if there.get(name) != here.get(name)}
     if others := sorted(differing - {"total_steps"}):
@@ -72,7 +90,7 @@ def run_once(config: Config) -> dict[str, Any]:
         summary: dict[str, Any] = json.loads((folder / SUMMARY).read_text())
         if summary["total_steps"] >= config.run.total_steps:
             return summary
-    return train(config, resume=True, show_progress=False)
+    return train(config, resume=True, on_evaluation=on_evaluation, show_progress=False)
 
 
 def run_foreign(cell: "Cell", trained: Callable[["Cell"], tuple["Row", list["Row"]]]) -> "Result":
