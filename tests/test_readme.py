@@ -17,6 +17,7 @@ OF_THE_COMMAND_LINE = {
     "resume": "None",
     "bonus": "curiosity",
     "preset": "fast",
+    "settings": "None",
     "stop_when_solved": "None",
 }
 OF_OTHER_COMMANDS = {

@@ -2,6 +2,7 @@
 
 import ast
 import inspect
+import json
 import sys
 import textwrap
 from collections.abc import Sequence
@@ -15,7 +16,7 @@ import tyro
 
 from deep_curiosity.bonuses.config import BONUS_CONFIGS
 from deep_curiosity.configuration import Setting, flat
-from deep_curiosity.training.config import PRESETS, Config
+from deep_curiosity.training.config import IGNORED, PRESETS, Config
 from deep_curiosity.training.log import read_config
 
 COMMON = (
@@ -55,6 +56,9 @@ PRESET_HELP = (
     "batch; or paper, which besides renews the marginal at every update."
 )
 RESUME_HELP = "Folder of a run to continue, in place; only total_steps may be changed."
+SETTINGS_HELP = (
+    "JSON file of settings by their flat names, as tune.py writes it; flags go before it."
+)
 STOP_HELP = "Mean return of an evaluation from which the run stops, as solved; it can be resumed."
 
 
@@ -83,6 +87,8 @@ def parse(arguments: Sequence[str] | None = None, *, description: str) -> Comman
     given = ["--help" if argument == "--help-all" else argument for argument in given]
     resume = _peek(given, "--resume")
     base = Config() if resume is None else read_config(Path(resume))
+    if (path := _peek(given, "--settings")) is not None:
+        base = base.override(**read_file(Path(path)))
     base = base.override(
         _known(_peek(given, "--preset"), PRESETS) or "fast",
         bonus=_known(_peek(given, "--bonus"), BONUS_CONFIGS) or base.bonus,
@@ -90,6 +96,22 @@ def parse(arguments: Sequence[str] | None = None, *, description: str) -> Comman
     read = vars(tyro.cli(_command_class(base, show_all), args=given, description=description))
     values = {name: _from_text(flat(base)[name], read[name]) for name in flat(base)}
     return Command(base.override(**values), resume is not None, read["stop_when_solved"])
+
+
+def read_file(path: Path) -> dict[str, Any]:
+    """Settings in a JSON file, by their flat names; where a run lies, and what a clock chose, not.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it holds something else.
+    """
+    try:
+        values = json.loads(path.read_text())
+    except ValueError as error:
+        raise ValueError(f"`settings` must name a JSON file, got {path}: {error}.") from error
+    if not isinstance(values, dict):
+        raise ValueError(f"`settings` must name a file of names and values, got {path}.")
+    return {name: value for name, value in values.items() if name not in IGNORED}
 
 
 def _peek(arguments: list[str], flag: str) -> str | None:
@@ -112,11 +134,13 @@ def _command_class(base: Config, show_all: bool) -> type:
     bonus = Annotated[Literal[tuple(BONUS_CONFIGS)], tyro.conf.arg(help=BONUS_HELP)]  # type: ignore[valid-type]
     preset = Annotated[Literal[tuple(PRESETS)], tyro.conf.arg(help=PRESET_HELP)]  # type: ignore[valid-type]
     resumed = Annotated[Path | None, tyro.conf.arg(help=RESUME_HELP)]
+    file = Annotated[Path | None, tyro.conf.arg(help=SETTINGS_HELP)]
     solved = Annotated[float | None, tyro.conf.arg(help=STOP_HELP)]
     own: list[Any] = [
         ("resume", resumed, field(default=None)),
         ("bonus", bonus, field(default=base.bonus.kind)),
         ("preset", preset, field(default="fast")),
+        ("settings", file, field(default=None)),
         ("stop_when_solved", solved, field(default=None)),
     ]
     for name, each in flat(base).items():

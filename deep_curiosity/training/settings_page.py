@@ -9,6 +9,7 @@ from deep_curiosity.training.command_line import (
     BONUS_HELP,
     PRESET_HELP,
     RESUME_HELP,
+    SETTINGS_HELP,
     STOP_HELP,
     help_of,
 )
@@ -35,6 +36,7 @@ def settings_page() -> str:
     bonuses = {f"bonus: {kind}": make() for kind, make in BONUS_CONFIGS.items() if kind != "none"}
     command_line = [_row("resume", None, RESUME_HELP), _row("bonus", "curiosity", BONUS_HELP)]
     command_line += [_row("preset", "fast", PRESET_HELP)]
+    command_line += [_row("settings", None, SETTINGS_HELP)]
     command_line += [_row("stop_when_solved", None, STOP_HELP), "\n"]
     for name, values in [each for each in PRESETS.items() if each[1]]:
         flags = " ".join(f"--{_flag(key)} {value}" for key, value in values.items())

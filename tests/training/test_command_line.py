@@ -12,7 +12,7 @@ from deep_curiosity.training.config import PRESETS, Config
 from deep_curiosity.training.log import open_folder
 from deep_curiosity.training.run import merge_config
 
-OF_THE_COMMAND_LINE = {"resume", "bonus", "preset", "stop-when-solved"}
+OF_THE_COMMAND_LINE = {"resume", "bonus", "preset", "settings", "stop-when-solved"}
 
 
 def read(*arguments):
@@ -204,3 +204,14 @@ def test_a_continued_run_is_refused_other_settings_by_name(run, arguments, messa
 def test_a_folder_without_a_run_is_named():
     with pytest.raises(FileNotFoundError, match=r"a run must have a config.json, got no/such"):
         read("--resume", Path("no/such"))
+
+
+def test_settings_are_read_from_a_file_and_flags_go_before_it(tmp_path):
+    path = tmp_path / "best.json"
+    path.write_text('{"learning_rate": 0.01, "batch_size": 64, "bonus": "rnd", "out": "else"}')
+    found = read("--settings", path, "--batch-size", 32)
+    assert found == Config.of(learning_rate=0.01, batch_size=32, bonus="rnd")
+    for text, message in (("{", "`settings` must name a JSON file"), ("[]", "names and values")):
+        path.write_text(text)
+        with pytest.raises(ValueError, match=message):
+            read("--settings", path)

@@ -3,8 +3,13 @@
 import sys
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
+import cloudpickle
+
+from deep_curiosity.experiments.search import Search
 from deep_curiosity.experiments.study import Study
+from deep_curiosity.integrations.requirements import require
 
 FOLDERS = {
     "development": Path("docs/development"),
@@ -47,11 +52,55 @@ def find_study(name: str) -> tuple[str, Study, Path]:
 
 
 def _find_own(path: Path, wanted: str) -> tuple[str, Study, Path]:
+    name, study = load_own(path, "STUDIES", wanted)
+    return name, study, Path("results")
+
+
+def load_own(path: Path, table: str, wanted: str) -> tuple[str, Any]:
+    """An entry of a table in a file of the user's own, whose code then travels to all workers.
+
+    Args:
+        path: Of the file.
+        table: Name of the dictionary there.
+        wanted: Key of the entry; the only one when empty.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it has no such entry.
+    """
+    kind = {"STUDIES": "study", "SEARCHES": "search"}[table]
     if not path.exists():
-        raise FileNotFoundError(f"`study` must name a file that exists, got {path}.")
-    sys.path.insert(0, str(path.resolve().parent))  # where workers find it too
-    studies = import_module(path.stem).STUDIES
-    name = wanted or (next(iter(studies)) if len(studies) == 1 else "")
-    if name not in studies:
-        raise ValueError(f"`study` must be one of {', '.join(studies)} in {path}, got {name!r}.")
-    return name, studies[name], Path("results")
+        raise FileNotFoundError(f"`{kind}` must name a file that exists, got {path}.")
+    sys.path.insert(0, str(path.resolve().parent))  # for what it imports itself
+    module = import_module(path.stem)
+    cloudpickle.register_pickle_by_value(module)
+    entries = getattr(module, table, {})
+    name = wanted or (next(iter(entries)) if len(entries) == 1 else "")
+    if name not in entries:
+        raise ValueError(f"`{kind}` must be one of {', '.join(entries)} in {path}, got {name!r}.")
+    return name, entries[name]
+
+
+def find_search(name: str) -> tuple[str, Search]:
+    """A search for settings by its name, or the one in a file of the user's own.
+
+    Args:
+        name: Such as `agent`; or `FILE.py`, whose `SEARCHES` has one; or `FILE.py:NAME`.
+
+    Returns:
+        Its name, and the search.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ImportError: If Optuna is missing, with the command that installs it.
+        ValueError: If there is no such search.
+    """
+    require("optuna", "tune")
+    file, _, wanted = name.partition(":")
+    if file.endswith(".py"):
+        return load_own(Path(file), "SEARCHES", wanted)
+    searches = import_module(f"{__name__}.searches").SEARCHES
+    if name not in searches:
+        choices = ", ".join(searches)
+        raise ValueError(f"`search` must be a file or one of {choices}, got {name!r}.")
+    return name, searches[name]
