@@ -14,4 +14,7 @@ from deep_curiosity.benchmark.sections import Benchmark
 if __name__ == "__main__":
     benchmark = tyro.cli(Benchmark, description=__doc__)
     command = ["python", "scripts/benchmark.py", *map(shlex.quote, sys.argv[1:])]
-    run_benchmark(benchmark, " ".join(command))
+    try:
+        run_benchmark(benchmark, " ".join(command))
+    except OSError as error:
+        sys.exit(f"error: {error}")

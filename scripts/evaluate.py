@@ -11,7 +11,12 @@ import tyro
 from deep_curiosity.training.collector import evaluate
 from deep_curiosity.training.environments import make_environment
 from deep_curiosity.training.log import read_config
-from deep_curiosity.training.playback import load_policy, record_episode, write_video
+from deep_curiosity.training.playback import (
+    check_new,
+    load_policy,
+    record_episode,
+    write_video,
+)
 
 
 @dataclass(frozen=True)
@@ -28,13 +33,15 @@ class Args:
     """Of an agent that is conditioned on it: one or several to play with, from 0, purely curious,
     to 1, purely greedy."""
     video: Path | None = None
-    """File for a video of the first episode, at the last hunger, .mp4 or .gif; needs MUJOCO_GL=egl
-    or osmesa on a machine without a screen."""
+    """New file for a video of the first episode, at the last hunger, .mp4 or .gif; needs
+    MUJOCO_GL=egl or osmesa on a machine without a screen."""
 
 
 def main(args: Args) -> None:
     """Print returns, and write the video."""
     config = read_config(args.folder)
+    if args.video is not None:
+        check_new(args.video)  # before anything is played
     environment = make_environment(config.environment)
     for hunger in args.hunger or (None,):
         act = load_policy(args.folder, config, environment, hunger=hunger)

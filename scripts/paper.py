@@ -3,6 +3,7 @@
 python scripts/paper.py
 """
 
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,4 +26,7 @@ def main(args: Args) -> None:
 
 
 if __name__ == "__main__":
-    main(tyro.cli(Args, description=__doc__))
+    try:
+        main(tyro.cli(Args, description=__doc__))
+    except OSError as error:
+        sys.exit(f"error: {error}")

@@ -31,7 +31,8 @@ class Args(EngineArgs):
     runs: Path = Path("runs")
     """Folder for the runs; finished ones there are not run again."""
     out: Path | None = None
-    """Path of table, summary and figure, without suffix; by default as documented."""
+    """Path of table, summary and figure, without suffix; by default as documented. Files there
+    that are none of a study are left alone."""
 
 
 def main(args: Args) -> int:

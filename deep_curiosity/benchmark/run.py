@@ -14,7 +14,7 @@ from deep_curiosity.benchmark.sections import (
     LeftOutError,
 )
 from deep_curiosity.benchmark.tables import read_rows
-from deep_curiosity.experiments.tables import write_table
+from deep_curiosity.experiments.tables import check_page, write_table
 from deep_curiosity.speed.machine import fitted_machine
 
 INTRODUCTION = """# Benchmark
@@ -24,6 +24,7 @@ median and `[lowest, highest]` over rounds, in each of which everything that is 
 turn; ratios are taken within a round. The CSV files beside it have every round.
 """
 MACHINES = "machine.csv"
+PAGE = "README.md"
 
 
 def run_benchmark(benchmark: Benchmark, command: str) -> None:
@@ -32,8 +33,12 @@ def run_benchmark(benchmark: Benchmark, command: str) -> None:
     Args:
         benchmark: What to measure, how often, and where to.
         command: The command line that asked for it, which the page repeats.
+
+    Raises:
+        FileExistsError: If a file in the folder is none that a benchmark has written.
     """
     out = benchmark.out
+    check_page(out, INTRODUCTION.splitlines()[0])
     out.mkdir(parents=True, exist_ok=True)
     with fitted_machine(AGENTS["curious"].speed):
         for name, section in SECTIONS.items():
@@ -50,7 +55,7 @@ def run_benchmark(benchmark: Benchmark, command: str) -> None:
             note_machine(out / MACHINES, name, command)
             print(f"{name}: measured", flush=True)
     write_page(out)
-    print(f"See {out / 'README.md'}")
+    print(f"See {out / PAGE}")
 
 
 def plot_section(out: Path, name: str) -> None:
@@ -66,7 +71,7 @@ def write_page(out: Path) -> None:
     for name, section in SECTIONS.items():
         if name in machines:
             text += [section.text(out), _machine_line(machines[name])]
-    (out / "README.md").write_text("\n".join(text))
+    (out / PAGE).write_text("\n".join(text))
 
 
 def note_machine(path: Path, section: str, command: str) -> None:

@@ -9,11 +9,12 @@ from queue import Empty, SimpleQueue
 from typing import NamedTuple
 
 from deep_curiosity.experiments.engines.base import Engine, Job, Outcome
+from deep_curiosity.training.lease import STALE_AFTER
 
 TICK = 1.0  # seconds from one look at the clock to the next
 MOST_TRIES = 4  # of a job that gets no further
 HELD_SECONDS = 20.0  # until a folder that another process holds is asked for again
-HELD_TRIES = 33  # eleven minutes, after which the lease of a dead holder has run out
+HELD_TRIES = 3 + int(STALE_AFTER / HELD_SECONDS)  # until the lease of a dead one has run out
 
 
 class Ended(NamedTuple):

@@ -18,9 +18,13 @@ from deep_curiosity.experiments.runs import find_finished, finished_key, run_own
 from deep_curiosity.experiments.statistics import probability_of_improvement
 from deep_curiosity.experiments.study import Cell, Result, Row, Study
 from deep_curiosity.experiments.tables import markdown_table, select, summarize, write_table
+from deep_curiosity.training.interruption import terminated_like_interrupted
 
 WRITING_SECONDS = 10.0  # from one writing of the tables to the next, while results come
 MANY_TO_COMPARE = 12  # agents: a table of all pairs would be longer than anyone reads
+
+ENDINGS = (".csv", "_curves.csv", ".md", ".png")
+"""Of the files that a study writes."""
 
 
 def overridden(study: Study, values: dict[str, Any]) -> Study:
@@ -78,9 +82,9 @@ def run_study(
 ) -> int:
     """Run every cell, and write tables as results come, then summary and figure.
 
-    A run that is finished is read, one that was cut off is continued, here or after Ctrl-C by
-    calling this again; one whose folder holds a run of other settings, or that raises, is listed
-    as failed, and the others go on.
+    A run that is finished is read, one that was cut off is continued; one whose folder holds a run
+    of other settings, or that raises, is listed as failed, and the others go on. Ctrl-C or SIGTERM
+    ends all, each run with a checkpoint to continue from when this is called again.
 
     Args:
         study: What is run.
@@ -95,13 +99,15 @@ def run_study(
         Number of runs that failed.
 
     Raises:
-        KeyboardInterrupt: At Ctrl-C, once what came is written and what runs is saved.
+        FileExistsError: If a file at `out` is none that a study has written.
+        KeyboardInterrupt: If it is stopped, once what came is written.
     """
+    check_out(study, out)
     cells = cells_of(study, runs)
     if engine is None:
         engine = LocalEngine(workers) if executor is None else ExecutorEngine(executor)
     records = Records(study, cells, out)
-    with engine, Progress(cells) as progress:
+    with terminated_like_interrupted(), engine, Progress(cells) as progress:
         execution = Execution(engine, [*map(_job, cells)], progress.step_of)
         try:
             for ended in execution:
@@ -167,6 +173,27 @@ class Records:
             report(self._study, rows, curves, failures, self._out)
 
 
+def output_path(out: Path, ending: str) -> Path:
+    """Path of one of the files of a study."""
+    return out.with_name(f"{out.name}{ending}")
+
+
+def check_out(study: Study, out: Path) -> None:
+    """Refuse to write over files that are none of a study's.
+
+    Raises:
+        FileExistsError: Naming them.
+    """
+    there = [path for end in ENDINGS if (path := output_path(out, end)).exists()]
+    table = output_path(out, ".csv")
+    own = table.is_file() and table.read_text(errors="replace").startswith("task,")
+    if there and not own:
+        raise FileExistsError(
+            "`out` must name new files, or those of a study, which has a table of tasks, got "
+            f"{', '.join(map(str, there))}; choose another path."
+        )
+
+
 def collect(cells: Sequence[Cell], results: dict[int, Result]) -> tuple[list[Row], list[Row]]:
     """Rows of the table and of the curves, in the order of the cells."""
     rows: list[Row] = []
@@ -186,9 +213,9 @@ def collect(cells: Sequence[Cell], results: dict[int, Result]) -> tuple[list[Row
 
 def write_tables(study: Study, rows: list[Row], curves: list[Row], out: Path) -> None:
     """Write table and curves."""
-    write_table(out.with_suffix(".csv"), rows)
+    write_table(output_path(out, ".csv"), rows)
     if study.curves:
-        write_table(out.with_name(f"{out.name}_curves.csv"), curves)
+        write_table(output_path(out, "_curves.csv"), curves)
 
 
 def report(
@@ -197,12 +224,12 @@ def report(
     """Write table, curves, summary and figure of what was measured."""
     write_tables(study, rows, curves, out)
     if study.curves:
-        plot_curves(out.with_suffix(".png"), study, rows, curves)
+        plot_curves(output_path(out, ".png"), study, rows, curves)
     else:
-        plot_columns(out.with_suffix(".png"), study, rows)
+        plot_columns(output_path(out, ".png"), study, rows)
     failed = [f"- failed: {failure}" for failure in failures]
     summary = "\n".join([summarize(study, rows), *compare(study, rows), *failed])
-    out.with_suffix(".md").write_text(summary.rstrip("\n") + "\n")
+    output_path(out, ".md").write_text(summary.rstrip("\n") + "\n")
     print(summary)
 
 

@@ -8,7 +8,13 @@ from typing import TYPE_CHECKING, Any
 from deep_curiosity import __version__
 from deep_curiosity.training.callbacks import Callback
 from deep_curiosity.training.config import Config, config_key
-from deep_curiosity.training.log import CONFIG, SUMMARY, read_progress, read_values
+from deep_curiosity.training.log import (
+    CONFIG,
+    SUMMARY,
+    read_progress,
+    read_values,
+    write_text,
+)
 from deep_curiosity.training.loop import train
 from deep_curiosity.training.source import source_commit
 
@@ -43,11 +49,6 @@ def run_own(cell: "Cell") -> "Result":
 
     config = cell.config
     summary = run_once(config)
-    if summary["total_steps"] < config.run.total_steps:
-        raise RunStoppedError(
-            f"a run must reach its last step, {config.run.total_steps}, to be measured, got "
-            f"{config.run.out}, which was stopped at step {summary['total_steps']}."
-        )
     curve = [
         {"step": int(row["step"]), "evaluation_return": float(row[EVALUATION_TAG])}
         for row in read_progress(config.run.out)
@@ -75,10 +76,11 @@ def run_once(config: Config, on_evaluation: Callback | None = None) -> dict[str,
 
     Raises:
         FileExistsError: If the folder holds a run of other settings.
+        RunStoppedError: If it is stopped before its end; it can be continued.
     """
     folder = config.run.out
     if not (folder / CONFIG).exists():
-        return train(config, on_evaluation=on_evaluation, show_progress=False)
+        return _to_its_end(config, on_evaluation)
     there, here = config_key(read_values(folder)), config_key(config.to_json())
     differing = {name for name in there.keys() | here.keys() if there.get(name) != here.get(name)}
     if others := sorted(differing - {"total_steps"}):
@@ -90,7 +92,19 @@ def run_once(config: Config, on_evaluation: Callback | None = None) -> dict[str,
         summary: dict[str, Any] = json.loads((folder / SUMMARY).read_text())
         if summary["total_steps"] >= config.run.total_steps:
             return summary
-    return train(config, resume=True, on_evaluation=on_evaluation, show_progress=False)
+    return _to_its_end(config, on_evaluation, resume=True)
+
+
+def _to_its_end(
+    config: Config, on_evaluation: Callback | None, *, resume: bool = False
+) -> dict[str, Any]:
+    summary = train(config, resume=resume, on_evaluation=on_evaluation, show_progress=False)
+    if summary["total_steps"] < config.run.total_steps:
+        raise RunStoppedError(
+            f"a run must reach its {config.run.total_steps} steps to count, got one stopped at "
+            f"step {summary['total_steps']}: {config.run.out}; run the study again to continue it."
+        )
+    return summary
 
 
 def run_foreign(cell: "Cell", trained: Callable[["Cell"], tuple["Row", list["Row"]]]) -> "Result":
@@ -112,7 +126,7 @@ def run_foreign(cell: "Cell", trained: Callable[["Cell"], tuple["Row", list["Row
         row, curve = trained(cell)
         origin = {"version": __version__, "commit": source_commit(), "settings": wanted}
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.write_text(json.dumps({"row": row, "curve": curve, "origin": origin}))
+        write_text(path, json.dumps({"row": row, "curve": curve, "origin": origin}))
     result = json.loads(path.read_text())
     if result["origin"]["settings"] != wanted:
         raise FileExistsError(f"`runs` must hold no result of other settings, got {path}.")

@@ -23,6 +23,31 @@ def write_table(
         writer.writerows([[_short(row.get(name, "")) for name in names] for row in rows])
 
 
+def check_page(folder: Path, title: str) -> None:
+    """Refuse a folder whose page or tables are of something else.
+
+    Args:
+        folder: To be written to.
+        title: First line of the page that is written there.
+
+    Raises:
+        FileExistsError: If there is another page, or there are tables without one.
+        NotADirectoryError: If a file is in the place of the folder.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise NotADirectoryError(f"`out` must name a folder, got {folder}, which is a file.")
+    page = folder / "README.md"
+    if page.exists():
+        own = page.read_text(errors="replace").splitlines()[:1] == [title]
+    else:
+        own = not any(folder.glob("*.csv"))
+    if not own:
+        raise FileExistsError(
+            f"`out` must name a folder without a page or tables of something else, got {folder}; "
+            "choose another."
+        )
+
+
 def markdown_table(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
     """Table in Markdown."""
     return "\n".join(f"| {' | '.join(line)} |" for line in (header, ["---"] * len(header), *lines))

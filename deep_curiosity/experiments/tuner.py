@@ -27,6 +27,7 @@ from deep_curiosity.experiments.search import Search
 from deep_curiosity.experiments.statistics import interquartile_mean
 from deep_curiosity.experiments.tables import write_table
 from deep_curiosity.training.config import Config
+from deep_curiosity.training.interruption import terminated_like_interrupted
 from deep_curiosity.training.log import write_json
 
 EVALUATIONS = "evaluations.jsonl"
@@ -74,7 +75,7 @@ def tune(
         if number < 1:
             raise ValueError(f"`{name}` must be at least 1, got {number}.")
     study = open_study(search, runs, storage, pruner)
-    with engine:
+    with terminated_like_interrupted(), engine:
         while count_ended(study) < trials:
             wanted = min(at_once, trials - count_ended(study))
             batch = [_Trial(search, each, runs) for each in ask(study, search, wanted, seed)]
@@ -284,12 +285,11 @@ def run_cell(config: Config, stop: Path) -> None:
             file.write(json.dumps([step, values["eval/return"]]) + "\n")
         return stop.exists()
 
-    summary = run_once(config, note)
-    if summary["total_steps"] < config.run.total_steps and not stop.exists():
-        raise RunStoppedError(
-            f"a run of a trial must reach its last step, {config.run.total_steps}, got "
-            f"{config.run.out}, which was stopped at step {summary['total_steps']}."
-        )
+    try:
+        run_once(config, note)
+    except RunStoppedError:
+        if not stop.exists():
+            raise
 
 
 def read_evaluations(folder: Path) -> dict[int, float]:

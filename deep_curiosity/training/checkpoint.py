@@ -1,57 +1,178 @@
-"""Checkpoints that survive a crash while they are written."""
+"""Checkpoints that survive a crash while they are written, and tell when they are damaged."""
 
+import hashlib
 import os
+import secrets
 import warnings
+import zipfile
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import torch
 
+from deep_curiosity.training.lease import LeaseError
+
 NEWEST = "checkpoint.pt"
 PREVIOUS = "checkpoint.previous.pt"
+DIGEST_MARK = b"sha256 of all before: "
+DIGEST_LENGTH = 64  # hexadecimal digits, behind the mark, at the end of the file
+CHUNK = 2**20
 
 
-def save_checkpoint(folder: Path, state: dict[str, Any]) -> None:
+class DamagedError(ValueError):
+    """A checkpoint is not what was written."""
+
+
+class _Hashed:
+    """A file whose content is hashed as it is written."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file = file
+        self._hash = hashlib.sha256()
+
+    def write(self, content: bytes | memoryview) -> int:
+        """Write and hash."""
+        self._hash.update(content)
+        return self._file.write(content)
+
+    def flush(self) -> None:
+        """Flush, as torch asks for."""
+        self._file.flush()
+
+    def finish(self) -> None:
+        """Write the digest, and see to it that all is on the disk."""
+        self._file.write(DIGEST_MARK + self._hash.hexdigest().encode())
+        self._file.flush()
+        os.fsync(self._file.fileno())
+
+
+def save_checkpoint(
+    folder: Path, state: dict[str, Any], *, check: Callable[[], None] = lambda: None
+) -> None:
     """Write beside the newest checkpoint, then rename: the old one stands until the new is whole.
+
+    Args:
+        folder: Receives it.
+        state: What is kept.
+        check: Asked once all is written whether it may take the place of what is there; raises
+            where it may not.
 
     Raises:
         OSError: If the disk is full or cannot be written; the checkpoints there are untouched.
     """
-    partial = folder / f"{NEWEST}.partial"
+    for orphan in folder.glob(f"{NEWEST}.*.partial"):  # of a process that was killed
+        orphan.unlink(missing_ok=True)
+    partial = folder / f"{NEWEST}.{secrets.token_hex(4)}.partial"
     try:
         with partial.open("wb") as file:
-            torch.save(state, file)
-            file.flush()
-            os.fsync(file.fileno())
+            hashed = _Hashed(file)
+            torch.save(state, hashed)  # type: ignore[arg-type]  # it writes and flushes alone
+            hashed.finish()
+        check()
     except (OSError, RuntimeError) as error:  # torch reports a full disk as a RuntimeError
         partial.unlink(missing_ok=True)
+        if isinstance(error, LeaseError):
+            raise
         raise OSError(f"the checkpoint in {folder} could not be written: {error}") from error
     newest = folder / NEWEST
-    if newest.exists():
+    with suppress(FileNotFoundError):
         newest.replace(folder / PREVIOUS)
     partial.replace(newest)
+    sync_folder(folder)
 
 
-def load_checkpoint(folder: Path) -> dict[str, Any]:
+def load_checkpoint(folder: Path, *, mend: bool = False) -> dict[str, Any]:
     """Read the newest checkpoint, or, with a warning, the one before it where that is damaged.
 
+    Args:
+        folder: Of the run.
+        mend: Put the one before in the place of a newest one that is damaged, so that it is not
+            lost when the next is saved.
+
     Raises:
-        FileNotFoundError: If the folder holds no readable checkpoint.
+        FileNotFoundError: If the folder holds no checkpoint, or none that is whole.
     """
-    damage = []
+    damage: list[str] = []
     for name in (NEWEST, PREVIOUS):
         path = folder / name
-        if not path.exists():
-            continue
         try:
-            state: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
-        except Exception as error:  # a truncated archive raises many kinds
-            damage.append(f"{path} is damaged ({type(error).__name__})")
+            state = _read(path)
+        except FileNotFoundError:
+            continue
+        except (DamagedError, OSError) as error:
+            damage.append(str(error))
             continue
         if damage:
             warnings.warn(f"{damage[0]}; continuing from {path}.", stacklevel=2)
+            if mend:
+                path.replace(folder / NEWEST)
         return state
     raise FileNotFoundError(
         f"`resume` must name a folder with a readable checkpoint, got {folder}: "
         f"{'; '.join(damage) or 'it holds none'}."
     )
+
+
+def has_checkpoint(folder: Path) -> bool:
+    """Whether a folder holds a checkpoint, be it whole or damaged."""
+    return any((folder / name).exists() for name in (NEWEST, PREVIOUS))
+
+
+def sync_folder(folder: Path) -> None:
+    """Have the system keep what was renamed in a folder, where it can be told to."""
+    if os.name != "posix":
+        return
+    descriptor = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """A checkpoint whose digest is right.
+
+    Raises:
+        DamagedError: If it is not, naming the file and what is wrong.
+        FileNotFoundError: If there is none.
+    """
+    try:
+        _check_digest(path)
+        state: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
+    except OSError:
+        raise
+    except Exception as error:  # a truncated archive raises many kinds
+        raise DamagedError(f"{path} is damaged ({type(error).__name__}: {error})") from error
+    return state
+
+
+def _check_digest(path: Path) -> None:
+    """Compare the digest at the end of a file with its content; without one, its entries' own."""
+    length = path.stat().st_size - len(DIGEST_MARK) - DIGEST_LENGTH
+    with path.open("rb") as file:
+        file.seek(max(length, 0))
+        mark, digest = file.read(len(DIGEST_MARK)), file.read()
+        if mark != DIGEST_MARK:
+            _check_entries(path)
+            return
+        file.seek(0)
+        if _sha256(file, length) != digest.decode(errors="replace"):
+            raise ValueError("its content does not have the checksum it was written with")
+
+
+def _sha256(file: BinaryIO, length: int) -> str:
+    digest = hashlib.sha256()
+    while length > 0 and (chunk := file.read(min(length, CHUNK))):
+        digest.update(chunk)
+        length -= len(chunk)
+    return digest.hexdigest()
+
+
+def _check_entries(path: Path) -> None:
+    """Compare every entry of an archive, written without a digest, with its own checksum."""
+    with zipfile.ZipFile(path) as archive:
+        damaged = archive.testzip()
+    if damaged is not None:
+        raise ValueError(f"its entry {damaged} does not have the checksum it was written with")

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
+from copy import copy
 from typing import Any, NamedTuple
 
 import gymnasium
@@ -10,6 +11,7 @@ import torch
 from gymnasium.vector import AutoresetMode, VectorEnv
 from torch import Tensor
 
+from deep_curiosity.training.interruption import cut_off_at_once
 from deep_curiosity.training.single_environment import SingleEnvironment
 
 Info = Mapping[str, Any]
@@ -17,6 +19,18 @@ Info = Mapping[str, Any]
 Policy = Callable[[Tensor, Info], Tensor]
 """Observations `(batch, observation_dim)`, and the info that came with them, to actions
 `(batch, action_dim)`."""
+
+CHANGED_BY_STEP = (
+    "_number",
+    "_length",
+    "_return",
+    "_success",
+    "num_episodes",
+    "observation",
+    "info",
+    "present_info",
+)
+"""Attributes of a collector."""
 
 
 class Episode(NamedTuple):
@@ -87,7 +101,9 @@ class Collector:
         Args:
             action: `(num_envs, action_dim)`.
         """
-        next_observation, reward, terminated, truncated, self.info = self.environment.step(action)
+        with cut_off_at_once():
+            outcome = self.environment.step(action)
+        next_observation, reward, terminated, truncated, self.info = outcome
         step = Step(self.observation, action, reward, next_observation, terminated, truncated)
         self.actions.append(np.array(action))
         self._length += 1
@@ -104,6 +120,20 @@ class Collector:
         ]
         self._start(done)
         return step, finished
+
+    def position(self) -> dict[str, Any]:
+        """All that a step changes, for `step_back`."""
+        changed = {name: copy(getattr(self, name)) for name in CHANGED_BY_STEP}
+        return changed | {"actions": self.actions, "num_actions": len(self.actions)}
+
+    def step_back(self, position: dict[str, Any]) -> None:
+        """Stand where the newest step began, be it whole or cut off, so that it can be saved.
+
+        The environments are then not where they are said to be: only what is saved can go on.
+        """
+        for name in CHANGED_BY_STEP:
+            setattr(self, name, position[name])
+        self.actions = position["actions"][: position["num_actions"]]
 
     def state_dict(self) -> dict[str, Any]:
         """Number and length of the episode in every environment, and the actions taken in them."""
@@ -138,13 +168,14 @@ class Collector:
             number = self.num_episodes + np.cumsum(mask) - 1
             self.num_episodes += int(mask.sum())
         self._number[mask] = number[mask]
-        start, info = self.environment.reset(
-            seed=[  # type: ignore[arg-type]  # every vector environment takes a list
-                _episode_seed(self.seed, int(number[index])) if chosen else None
-                for index, chosen in enumerate(mask)
-            ],
-            options={"reset_mask": mask},
-        )
+        with cut_off_at_once():
+            start, info = self.environment.reset(
+                seed=[  # type: ignore[arg-type]  # every vector environment takes a list
+                    _episode_seed(self.seed, int(number[index])) if chosen else None
+                    for index, chosen in enumerate(mask)
+                ],
+                options={"reset_mask": mask},
+            )
         self.observation = np.where(mask[:, None], start, self.observation)
         self.present_info = self.present_info | {
             name: np.where(mask, value, self.present_info.get(name, value))

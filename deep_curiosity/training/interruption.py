@@ -1,4 +1,4 @@
-"""Ctrl-C that waits for the end of the step, so that what is saved is whole."""
+"""Ctrl-C and SIGTERM that wait for the end of the step, so that what is saved is whole."""
 
 import signal
 import threading
@@ -6,33 +6,93 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
 
+SIGNALS = (signal.SIGINT, signal.SIGTERM)
+
+
+class Interrupted(KeyboardInterrupt):
+    """A call of an environment was cut off, since the user has requested a stop."""
+
 
 class Interruption:
-    """Whether the user has requested a stop."""
+    """Whether the user, or the system, has requested a stop."""
 
     def __init__(self) -> None:
         self.requested = False
+        self.at_once = False
+        """Whether a request cuts off what is being done."""
 
     def request(self, signum: int, frame: FrameType | None) -> None:
-        """Note the first Ctrl-C; a second one stops at once.
+        """Note the first request; a second Ctrl-C stops at once.
 
         Raises:
-            KeyboardInterrupt: At the second request.
+            Interrupted: Where a request cuts off what is being done.
+            KeyboardInterrupt: At the second Ctrl-C; SIGTERM may come as often as it will.
         """
-        if self.requested:
+        if self.requested and signum == signal.SIGINT:
             raise KeyboardInterrupt
         self.requested = True
+        if self.at_once:
+            self.at_once = False
+            raise Interrupted
+
+
+_caught: list[Interruption] = []
+"""Those of the blocks that the main thread is in."""
 
 
 @contextmanager
 def catch_interruption() -> Iterator[Interruption]:
-    """Turn Ctrl-C into a request inside the block; threads other than the main one keep theirs."""
+    """Turn Ctrl-C and SIGTERM into a request inside the block.
+
+    Threads other than the main one keep theirs.
+    """
     interruption = Interruption()
     if threading.current_thread() is not threading.main_thread():
         yield interruption
         return
-    previous = signal.signal(signal.SIGINT, interruption.request)
+    previous = [signal.signal(number, interruption.request) for number in SIGNALS]
+    _caught.append(interruption)
     try:
         yield interruption
     finally:
-        signal.signal(signal.SIGINT, previous)
+        _caught.pop()
+        for number, handler in zip(SIGNALS, previous, strict=True):
+            signal.signal(number, handler or signal.SIG_DFL)
+
+
+def is_interrupted() -> bool:
+    """Whether a stop was requested of the block that the process is in."""
+    return bool(_caught) and _caught[-1].requested
+
+
+@contextmanager
+def cut_off_at_once() -> Iterator[None]:
+    """Let a request that is caught cut off what is done inside the block, or was made before it.
+
+    Raises:
+        Interrupted: If there is one.
+    """
+    if not _caught or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    interruption = _caught[-1]
+    interruption.at_once = True
+    try:
+        if interruption.requested:
+            raise Interrupted
+        yield
+    finally:
+        interruption.at_once = False
+
+
+@contextmanager
+def terminated_like_interrupted() -> Iterator[None]:
+    """Let SIGTERM raise `KeyboardInterrupt` inside the block, as Ctrl-C does."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    previous = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, previous)

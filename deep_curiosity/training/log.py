@@ -1,35 +1,71 @@
 """What a run leaves behind: settings, TensorBoard events, progress.csv, summary.json."""
 
 import csv
+import io
 import json
-from collections.abc import Mapping
+import os
+import warnings
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from torch.utils.tensorboard import SummaryWriter
 
+from deep_curiosity.training.checkpoint import NEWEST, PREVIOUS
 from deep_curiosity.training.config import Config
 
 CONFIG = "config.json"
 PROGRESS = "progress.csv"
 SUMMARY = "summary.json"
+WRITTEN = (CONFIG, PROGRESS, SUMMARY, NEWEST, PREVIOUS, "run.png")
+"""All that a run writes over, but for files with names of their own."""
+
+
+def make_folder(folder: Path) -> None:
+    """Make the folder of a run, and those above it.
+
+    Raises:
+        OSError: If a file is in its place, or it cannot be made.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise OSError(
+            f"`out` must name a folder that is there or can be made, got {folder}: "
+            f"{error.strerror}."
+        ) from error
 
 
 def open_folder(config: Config) -> Path:
     """Folder of the run, with its settings written; a folder that holds a run is left alone.
 
     Raises:
-        FileExistsError: If the folder already holds a run.
+        FileExistsError: If the folder already holds a run, or files that it would write over.
+        OSError: If a file is in its place, or it cannot be made.
     """
     folder = config.run.out
+    make_folder(folder)
+    check_unused(folder)
+    write_json(folder / CONFIG, config.to_json())
+    return folder
+
+
+def check_unused(folder: Path) -> None:
+    """Refuse a folder that holds a run, or files that a run would write over.
+
+    Raises:
+        FileExistsError: If it does, naming the files.
+    """
     if (folder / CONFIG).exists():
         raise FileExistsError(
             f"`out` must not hold a run already, got {folder}; continue it with "
             f"--resume {folder}, or choose another folder."
         )
-    folder.mkdir(parents=True, exist_ok=True)
-    write_json(folder / CONFIG, config.to_json())
-    return folder
+    if there := [name for name in WRITTEN if (folder / name).exists()]:
+        raise FileExistsError(
+            f"`out` must hold no file that a run would write over, got {folder}, which holds "
+            f"{', '.join(there)}; choose another folder."
+        )
 
 
 def read_config(folder: Path) -> Config:
@@ -57,8 +93,24 @@ def read_values(folder: Path) -> dict[str, Any]:
 
 def write_json(path: Path, values: Mapping[str, Any]) -> None:
     """Write whole or not at all."""
-    partial = path.with_suffix(".partial")
-    partial.write_text(json.dumps(values, indent=2, default=str) + "\n")
+    write_text(path, json.dumps(values, indent=2, default=str) + "\n")
+
+
+def write_text(path: Path, text: str) -> None:
+    """Write beside a file, then rename: what was there stands until the new is whole.
+
+    Raises:
+        OSError: If the disk is full or cannot be written; what was there is untouched.
+    """
+    partial = path.with_name(f"{path.name}.partial")
+    try:
+        with partial.open("w", newline="") as file:
+            file.write(text)
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError:
+        partial.unlink(missing_ok=True)
+        raise
     partial.replace(path)
 
 
@@ -67,14 +119,17 @@ class Log:
 
     Args:
         folder: Of the run.
-        start: Step the run continues from; rows written after it are dropped.
+        start: Step the run continues from.
+        progress: What progress.csv held at that step; rows written after it are dropped, and
+            a file that does not begin with it is mended, with a warning.
     """
 
-    def __init__(self, folder: Path, *, start: int = 0) -> None:
+    def __init__(self, folder: Path, *, start: int = 0, progress: str = "") -> None:
         self._path = folder / PROGRESS
-        self._rows = [row for row in read_progress(folder) if float(row["step"]) <= start]
-        self._columns = list(self._rows[0]) if self._rows else []
-        self._write_all()
+        self.progress = progress
+        """Content of progress.csv."""
+        self._columns = progress.partition("\r\n")[0].split(",") if progress else []
+        self._restore()
         self._writer = SummaryWriter(str(folder), purge_step=start + 1 if start else None)
 
     def scalars(self, step: int, values: Mapping[str, float]) -> None:
@@ -84,27 +139,88 @@ class Log:
 
     def row(self, step: int, values: Mapping[str, float]) -> None:
         """Append a row to progress.csv; the first one names the columns."""
+        text = ""
         if not self._columns:
             self._columns = ["step", *values]
-            self._write_all()
+            text = _csv_line(self._columns)
+        text += _csv_line([step, *(values.get(name) for name in self._columns[1:])])
         with self._path.open("a", newline="") as file:
-            csv.writer(file).writerow([step, *(values.get(name) for name in self._columns[1:])])
+            file.write(text)
+        self.progress += text
 
     def close(self) -> None:
         """Flush what TensorBoard holds back."""
         self._writer.close()
 
-    def _write_all(self) -> None:
-        with self._path.open("w", newline="") as file:
-            writer = csv.DictWriter(file, self._columns)
-            writer.writeheader()
-            writer.writerows(self._rows)
+    def _restore(self) -> None:
+        """Bring progress.csv to where the run continues; keep one that is damaged beside it."""
+        there = self._path.read_bytes() if self._path.exists() else b""
+        wanted = self.progress.encode()
+        if there == wanted:
+            self._path.touch()
+            return
+        if not there.startswith(wanted):
+            kept = self._path.with_name(f"{PROGRESS}.damaged")
+            if there:
+                self._path.replace(kept)
+            warnings.warn(
+                f"{self._path} was {'damaged' if there else 'missing'}; it is mended from the "
+                f"checkpoint{f', and what was there is in {kept}' if there else ''}.",
+                stacklevel=2,
+            )
+        write_text(self._path, self.progress)
+
+
+def _csv_line(values: Sequence[Any]) -> str:
+    line = io.StringIO()
+    csv.writer(line).writerow(values)
+    return line.getvalue()
 
 
 def read_progress(folder: Path) -> list[dict[str, str]]:
-    """Rows of progress.csv, as written."""
+    """Rows of progress.csv, as written.
+
+    Raises:
+        ValueError: If the file is damaged, naming it and the row.
+    """
     path = folder / PROGRESS
     if not path.exists():
         return []
-    with path.open(newline="") as file:
-        return list(csv.DictReader(file))
+    return parse_progress(path.read_text(errors="replace"), source=str(path))
+
+
+def parse_progress(text: str, *, source: str) -> list[dict[str, str]]:
+    """Rows of a text like that of progress.csv.
+
+    Raises:
+        ValueError: If a row is not as long as the first, or is no row of numbers.
+    """
+    rows = list(_rows(text))
+    for number, row in enumerate(rows, 2):
+        if not _is_whole(row):
+            raise ValueError(
+                f"a row must have a number in every column, got row {number} of {source}, which "
+                "is damaged; --resume mends it from the checkpoint."
+            )
+    return rows
+
+
+def progress_up_to(folder: Path, step: int) -> str:
+    """Whole rows of progress.csv up to a step, below its header; damaged ones are left out."""
+    path = folder / PROGRESS
+    lines = path.read_text(errors="replace").splitlines() if path.exists() else []
+    rows = zip(lines[1:], _rows("\n".join(lines)), strict=False)
+    kept = [line for line, row in rows if _is_whole(row) and float(row["step"]) <= step]
+    return "".join(f"{line}\r\n" for line in [*lines[:1], *kept]) if kept else ""
+
+
+def _rows(text: str) -> csv.DictReader:
+    return csv.DictReader(io.StringIO(text.replace("\0", "?"), newline=""))
+
+
+def _is_whole(row: Mapping[str | None, Any]) -> bool:
+    try:
+        [float(value or "nan") for value in row.values()]
+        return None not in row and None not in row.values() and float(row["step"]) >= 0
+    except (TypeError, ValueError, KeyError):
+        return False

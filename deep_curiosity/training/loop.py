@@ -1,17 +1,18 @@
 """The training loop, read from top to bottom like the algorithm box of the paper's section 4."""
 
 import time
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from torch import Tensor
 from tqdm import tqdm
 
 from deep_curiosity.training.callbacks import Callback, call
+from deep_curiosity.training.collector import Episode
 from deep_curiosity.training.config import Config
 from deep_curiosity.training.figures import plot_run
 from deep_curiosity.training.hunger import HungerFunction
-from deep_curiosity.training.interruption import catch_interruption
+from deep_curiosity.training.interruption import Interrupted, catch_interruption
 from deep_curiosity.training.log import read_config
 from deep_curiosity.training.run import open_run
 
@@ -27,8 +28,9 @@ def train(
 ) -> dict[str, Any]:
     """Train an agent and leave its records in a folder.
 
-    Ctrl-C ends the run after the step in progress, with a checkpoint to continue from; so does a
-    callback that returns `True`.
+    Ctrl-C, or SIGTERM, ends the run with a checkpoint to continue from: after the step in
+    progress, or before it where the environments take long. So does a callback that returns
+    `True`, once the step is recorded.
 
     Args:
         config: Settings of the run.
@@ -48,8 +50,12 @@ def train(
         The summary of the run, as in its `summary.json`.
 
     Raises:
-        FileExistsError: If `out` already holds a run, and `resume` is not set.
+        DivergedError: If a loss or a weight is no longer finite; the last good checkpoint stays.
+        EnvironmentFailedError: If an environment raises; all before that step is saved.
+        FileExistsError: If `out` already holds a run, and `resume` is not set, or files that a
+            run would write over.
         FileNotFoundError: If there is no run to continue.
+        LeaseError: If another process writes into the folder, or takes it over.
         ValueError: If the environment or a setting is not one the agent can take.
     """
     # 1. Initialise policy, values, model and replay, or restore them
@@ -61,44 +67,43 @@ def train(
         run_log, learner, collector = run.run_log, run.learner, run.collector
         bar = tqdm(total=course.total_steps, initial=run_log.step, disable=not show_progress)
 
-        metrics: dict[str, Tensor] = {}
-
         # 2. Repeat at every time step, in all environments at once
-        while not run.finished and not interruption.requested:
-            step_started = time.perf_counter()
-            learning = run_log.step >= course.learning_starts
-            learner.before_step(run_log.step, collector.observation, collector.present_info)
-            run_log.step += num_envs
+        with suppress(Interrupted):
+            while not run.finished and not interruption.requested:
+                if not run.unrecorded:  # else it was stopped in the evaluation of this step
+                    step_started = time.perf_counter()
+                    learning = run_log.step >= course.learning_starts
 
-            # (d) Choose an action, obtain reward and next state; both are kept as they are
-            action = learner.act(collector.observation, explore_uniformly=not learning)
-            step, finished = collector.step(action)
-            learner.store(step)
-            run_log.on_step(collector.info)
-            for episode in finished:
-                run_log.episodes.append(episode)
-                run.log.scalars(
-                    run_log.step,
-                    {"episode/return": episode.episode_return, "episode/length": episode.length},
-                )
+                    # (d) Choose an action, obtain reward and next state; both are kept as they are
+                    if run.action is None:  # else it was stopped in this step
+                        observation = collector.observation
+                        learner.before_step(run_log.step, observation, collector.present_info)
+                        run.action = learner.act(observation, explore_uniformly=not learning)
+                    finished = run.collect()
+                    run_log.on_step(collector.info)
+                    for episode in finished:
+                        run_log.episodes.append(episode)
+                        run.log.scalars(run_log.step, _told(episode))
 
-            # (a, b, c, e) Renew the model, p(x'), the values, the policy, p(a) and the temperature
-            if learning:
-                for _ in range(run.updates_due):
-                    metrics = learner.update()
-                run_log.on_learned(num_envs, time.perf_counter() - step_started)
+                    # (a, b, c, e) Renew model, p(x'), values, policy, p(a) and temperature
+                    if learning:
+                        for _ in range(run.updates_due):
+                            run.metrics = learner.update()
+                        run_log.on_learned(num_envs, time.perf_counter() - step_started)
+                    run.unrecorded = True
 
-            # Evaluate without noise, log, keep a checkpoint
-            if run.reached(course.evaluation_interval) or run.finished:
-                evaluation = run.evaluate()
-                interruption.requested |= call(on_evaluation, run_log.step, evaluation)
-            if metrics and (run.reached(course.log_interval) or run.finished):
-                values = run.progress(metrics)
-                interruption.requested |= call(on_log, run_log.step, values)
-                bar.set_postfix_str(_postfix(values), refresh=False)
-            if run.reached(course.checkpoint_interval):
-                run.save()
-            bar.update(min(run_log.step, course.total_steps) - bar.n)
+                # Evaluate without noise, log, keep a checkpoint
+                if run.reached(course.evaluation_interval) or run.all_steps_taken:
+                    evaluation = run.evaluate()
+                    interruption.requested |= call(on_evaluation, run_log.step, evaluation)
+                if run.metrics and (run.reached(course.log_interval) or run.all_steps_taken):
+                    values = run.progress()
+                    interruption.requested |= call(on_log, run_log.step, values)
+                    bar.set_postfix_str(_postfix(values), refresh=False)
+                run.unrecorded = False
+                if run.reached(course.checkpoint_interval):
+                    run.save()
+                bar.update(min(run_log.step, course.total_steps) - bar.n)
 
         # 3. Close
         bar.close()
@@ -108,6 +113,10 @@ def train(
         if not run.finished:
             print(f"Stopped at step {run_log.step}; continue with --resume {course.out}")
         return summary
+
+
+def _told(episode: Episode) -> dict[str, float]:
+    return {"episode/return": episode.episode_return, "episode/length": episode.length}
 
 
 def continue_run(

@@ -13,6 +13,7 @@ from deep_curiosity.agent.sac import CuriousSAC
 from deep_curiosity.training.checkpoint import load_checkpoint
 from deep_curiosity.training.collector import Collector, Episode, Policy, as_batch
 from deep_curiosity.training.config import Config
+from deep_curiosity.training.divergence import DivergedError, broken_weight
 from deep_curiosity.training.environments import action_dim, observation_dim
 from deep_curiosity.training.hunger import make_hunger_controller
 from deep_curiosity.training.learner import make_agent, make_evaluation_policy
@@ -22,10 +23,14 @@ def load_agent(folder: Path, config: Config, environment: gymnasium.Env) -> Curi
     """Agent of a finished or interrupted run, as its newest checkpoint has it.
 
     Raises:
+        DivergedError: If its policy is not finite.
         FileNotFoundError: If the folder holds no readable checkpoint.
     """
     agent = make_agent(config, observation_dim(environment), action_dim(environment))
     agent.load_state_dict(load_checkpoint(folder)["learner"]["agent"])
+    broken = broken_weight(policy=agent.policy)
+    if broken is not None:
+        raise DivergedError(f"{broken}, in the checkpoint in {folder}: the run has diverged.")
     return agent
 
 
@@ -42,6 +47,7 @@ def load_policy(
             evaluations.
 
     Raises:
+        DivergedError: If its policy is not finite.
         FileNotFoundError: If the folder holds no readable checkpoint.
         ValueError: If a hunger is given to an agent that is not conditioned on it.
     """
@@ -79,10 +85,25 @@ def record_episode(
 
 
 def write_video(path: Path, frames: list[NDArray[np.uint8]], *, fps: int) -> None:
-    """Write frames to a file whose suffix names the format, such as .mp4 or .gif."""
+    """Write frames to a new file whose suffix names the format, such as .mp4 or .gif.
+
+    Raises:
+        FileExistsError: If the file is there.
+    """
+    check_new(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     pace: dict[str, Any] = {"duration": 1000 / fps} if path.suffix == ".gif" else {"fps": fps}
     imageio.mimwrite(path, list(frames), **pace)
+
+
+def check_new(path: Path) -> None:
+    """Refuse to write over a video.
+
+    Raises:
+        FileExistsError: If the file is there.
+    """
+    if path.exists():
+        raise FileExistsError(f"`video` must name a new file, got {path}, which is there.")
 
 
 def _frame(environment: gymnasium.Env) -> NDArray[np.uint8]:

@@ -21,7 +21,11 @@ class RunLog:
     episodes: list[Episode] = field(default_factory=list)
     """Of training."""
     evaluations: list[Episode] = field(default_factory=list)
-    """Of evaluation; always whole batches of `evaluation_episodes`."""
+    """Of all evaluations, one after the other."""
+    evaluation_step: int | None = None
+    """Of the newest evaluation."""
+    evaluation_size: int = NUM_RECENT
+    """Episodes in the newest evaluation."""
     first_success_step: int | None = None
     cells: dict[int, int] = field(default_factory=dict)
     """Visited cell to the step at which it was first visited."""
@@ -41,6 +45,16 @@ class RunLog:
         self.learning_steps += num_steps
         self.learning_seconds += seconds
 
+    def on_evaluated(self, episodes: Sequence[Episode]) -> None:
+        """Note the episodes of an evaluation at the present step."""
+        self.evaluations.extend(episodes)
+        self.evaluation_step, self.evaluation_size = self.step, len(episodes)
+
+    @property
+    def latest_evaluation(self) -> list[Episode]:
+        """Episodes of the newest evaluation, be it a scheduled one or the last of a run."""
+        return self.evaluations[-self.evaluation_size :]
+
     @property
     def steps_per_second(self) -> float:
         """Environment steps per second, updates included, evaluation and start-up not."""
@@ -52,11 +66,13 @@ class RunLog:
 
     def summary(self, num_cells: int | None) -> dict[str, Any]:
         """The figures by which runs are compared."""
+        evaluation = self.latest_evaluation
         return {
-            "evaluation_return": mean_return(self.evaluations),
+            "evaluation_return": mean_return(evaluation, num_recent=len(evaluation)),
+            "evaluation_step": self.evaluation_step,
             "training_return": mean_return(self.episodes),
             "mean_training_return": mean_return(self.episodes, num_recent=len(self.episodes)),
-            "success_rate": success_rate(self.evaluations),
+            "success_rate": success_rate(evaluation, num_recent=len(evaluation)),
             "first_success_step": self.first_success_step,
             "coverage": self.coverage(num_cells),
             "steps_per_second": _or_none(self.steps_per_second),
@@ -81,9 +97,9 @@ def mean_return(episodes: Sequence[Episode], num_recent: int = NUM_RECENT) -> fl
     return sum(returns) / len(returns) if returns else None
 
 
-def success_rate(episodes: Sequence[Episode]) -> float | None:
-    """Share of successes among the 10 newest episodes, `None` where the task defines none."""
-    successes = [episode.success for episode in episodes[-NUM_RECENT:]]
+def success_rate(episodes: Sequence[Episode], num_recent: int = NUM_RECENT) -> float | None:
+    """Share of successes among the newest episodes, `None` where the task defines none."""
+    successes = [episode.success for episode in episodes[-num_recent:]]
     return _or_none(sum(successes) / len(successes)) if successes else None
 
 

@@ -13,6 +13,7 @@ from deep_curiosity.experiments.grid import (
     Records,
     cells_of,
     compare,
+    output_path,
     overridden,
     part_of,
     run_study,
@@ -131,6 +132,32 @@ def test_tables_are_written_as_results_come(small_study, tmp_path):
         records.add(number, Outcome(result))
         records.write_some()  # the second time nothing is due yet
     assert [row["seed"] for row in table(tmp_path / "out")] == ["1"]
+
+
+def test_a_run_that_was_stopped_does_not_count(small_study, tmp_path, monkeypatch):
+    study = replace(small_study, seeds=1, agents={"none": {"bonus": "none"}})
+    train = runs.train
+    monkeypatch.setattr(
+        runs,
+        "train",
+        lambda config, **options: train(config, **options) | {"total_steps": 30},
+    )
+    with ThreadPoolExecutor(1) as executor:
+        places = {"runs": tmp_path / "runs", "out": tmp_path / "out"}
+        assert run_study(study, **places, executor=executor) == 1
+
+
+@pytest.mark.parametrize("name", ["out.csv", "out.md", "out.png", "out_curves.csv"])
+def test_files_that_are_none_of_a_study_are_left_alone(small_study, tmp_path, name):
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(FileExistsError, match=rf"`out` must name new files.*{name}"):
+        run_study(small_study, runs=tmp_path / "runs", out=tmp_path / "out")
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).read_text() == "mine"
+
+
+def test_a_dot_in_the_path_is_no_suffix(tmp_path):
+    assert output_path(tmp_path / "rate.0.5", ".md") == tmp_path / "rate.0.5.md"
 
 
 def test_settings_of_all_runs_can_be_overridden(small_study, tmp_path):

@@ -1,7 +1,14 @@
 import csv
+from importlib import resources
 
+import pytest
+
+from deep_curiosity.benchmark.run import INTRODUCTION, run_benchmark
+from deep_curiosity.benchmark.sections import Benchmark
+from deep_curiosity.experiments.paper.page import TITLE, write_paper
 from deep_curiosity.experiments.study import Study, Task
 from deep_curiosity.experiments.tables import (
+    check_page,
     markdown_table,
     median_and_range,
     summarize,
@@ -52,3 +59,27 @@ def test_agents_with_names_have_no_rank(make_rows):
 def test_what_a_task_does_not_have_is_left_blank(make_rows):
     rows = [row | {"evaluation_return": None} for row in make_rows(NAMED, lambda name: 7.0)]
     assert "| maze | a | 1 of 2 |  |" in summarize(NAMED, rows)
+
+
+def test_a_folder_of_the_same_page_may_be_written_again(tmp_path):
+    check_page(tmp_path / "new", "# Benchmark")
+    check_page(tmp_path, "# Benchmark")
+    (tmp_path / "README.md").write_text(INTRODUCTION)
+    (tmp_path / "vector.csv").write_text("agent\n")
+    check_page(tmp_path, "# Benchmark")
+    page = resources.files("deep_curiosity.experiments.paper").joinpath("page.md")
+    assert page.read_text(encoding="utf-8").splitlines()[0] == TITLE
+
+
+@pytest.mark.parametrize("name", ["README.md", "vector.csv"])
+def test_a_folder_of_something_else_is_left_alone(tmp_path, name):
+    (tmp_path / name).write_text("# Mine\n")
+    with pytest.raises(FileExistsError, match="`out` must name a folder without a page"):
+        check_page(tmp_path, "# Benchmark")
+    with pytest.raises(NotADirectoryError, match=r"got .*, which is a file"):
+        check_page(tmp_path / name, "# Benchmark")
+    for write in (write_paper, lambda folder: run_benchmark(Benchmark(out=folder), "")):
+        with pytest.raises(FileExistsError, match="`out` must name a folder without a page"):
+            write(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).read_text() == "# Mine\n"

@@ -13,6 +13,7 @@ from optuna.distributions import CategoricalDistribution, FloatDistribution  # n
 
 from deep_curiosity.experiments import tuner  # noqa: E402
 from deep_curiosity.experiments.engines.local import ExecutorEngine  # noqa: E402
+from deep_curiosity.experiments.runs import RunStoppedError  # noqa: E402
 from deep_curiosity.experiments.search import Search  # noqa: E402
 from deep_curiosity.experiments.study import Task  # noqa: E402
 from deep_curiosity.training.command_line import parse  # noqa: E402
@@ -44,8 +45,7 @@ def calls(monkeypatch):
         for step in (20, 40, 60):
             value = best * (1 - abs(math.log10(rate) + 2)) * step / 60 + config.run.seed * 1e-6
             if on_evaluation(step, {"eval/return": value}):
-                return {"total_steps": step}
-        return {"total_steps": 60}
+                raise RunStoppedError("stopped")
 
     monkeypatch.setattr(tuner, "run_once", run_once)
     return calls

@@ -1,8 +1,12 @@
+import random
+import warnings
+
 import pytest
 import torch
 
 from deep_curiosity.training import checkpoint
 from deep_curiosity.training.checkpoint import NEWEST, PREVIOUS, load_checkpoint, save_checkpoint
+from deep_curiosity.training.lease import LeaseError
 
 
 def test_the_newest_is_loaded_and_the_one_before_it_kept(tmp_path):
@@ -29,6 +33,73 @@ def test_without_a_readable_one_the_damage_is_told(tmp_path):
     (tmp_path / NEWEST).write_bytes(b"no archive")
     with pytest.raises(FileNotFoundError, match="is damaged"):
         load_checkpoint(tmp_path)
+    (tmp_path / PREVIOUS).write_bytes(b"")
+    with pytest.raises(FileNotFoundError, match=rf"{NEWEST} is damaged .*; .*{PREVIOUS} is dam"):
+        load_checkpoint(tmp_path)
+
+
+def flipped(content, bit):
+    changed = bytearray(content)
+    changed[bit // 8] ^= 1 << bit % 8
+    return bytes(changed)
+
+
+def same(first, second):
+    return first["step"] == second["step"] and torch.equal(first["weights"], second["weights"])
+
+
+@pytest.mark.parametrize("checksum", ["of all", "of the entries, as earlier versions wrote"])
+def test_any_flipped_bit_is_detected_or_harmless(tmp_path, checksum):
+    states = [{"step": step, "weights": torch.randn(40, 40)} for step in (1, 2)]
+    for state in states:
+        save_checkpoint(tmp_path, state)
+    newest = tmp_path / NEWEST
+    whole = newest.read_bytes()
+    if checksum != "of all":
+        whole = whole[: -len(checkpoint.DIGEST_MARK) - checkpoint.DIGEST_LENGTH]
+    chance, detected = random.Random(0), 0
+    for bit in chance.sample(range(8 * len(whole)), 200):
+        newest.write_bytes(flipped(whole, bit))
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            loaded = load_checkpoint(tmp_path)
+        told = [str(warning.message) for warning in caught if warning.category is UserWarning]
+        assert same(loaded, states[0 if told else 1]), bit
+        assert not told or f"{newest} is damaged" in told[0]
+        detected += len(told)
+    assert detected > (180 if checksum == "of all" else 100)
+
+
+def test_one_that_is_damaged_does_not_take_the_place_of_the_one_before_it(tmp_path):
+    for step in range(2):
+        save_checkpoint(tmp_path, {"step": step})
+    (tmp_path / NEWEST).write_bytes(b"")
+    with pytest.warns(UserWarning, match="is damaged"):
+        load_checkpoint(tmp_path)
+    assert (tmp_path / NEWEST).read_bytes() == b""  # who only reads changes nothing
+    with pytest.warns(UserWarning, match="is damaged"):
+        load_checkpoint(tmp_path, mend=True)
+    save_checkpoint(tmp_path, {"step": 2})
+    (tmp_path / NEWEST).write_bytes(b"")
+    with pytest.warns(UserWarning, match="is damaged"):
+        assert load_checkpoint(tmp_path)["step"] == 0
+
+
+def test_one_that_may_not_be_written_leaves_what_is_there(tmp_path):
+    def refuse():
+        raise LeaseError("another holds the folder")
+
+    save_checkpoint(tmp_path, {"step": 1})
+    with pytest.raises(LeaseError, match="another"):
+        save_checkpoint(tmp_path, {"step": 2}, check=refuse)
+    assert load_checkpoint(tmp_path)["step"] == 1
+    assert [path.name for path in tmp_path.iterdir()] == [NEWEST]
+
+
+def test_what_a_killed_process_has_half_written_is_deleted(tmp_path):
+    (tmp_path / f"{NEWEST}.0123.partial").write_bytes(b"half of it")
+    save_checkpoint(tmp_path, {"step": 1})
+    assert [path.name for path in tmp_path.iterdir()] == [NEWEST]
 
 
 @pytest.mark.parametrize("error", [OSError(28, "No space left on device"), RuntimeError("write")])

@@ -7,8 +7,11 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from deep_curiosity.training.config import Config
 from deep_curiosity.training.log import (
     CONFIG,
+    PROGRESS,
+    WRITTEN,
     Log,
     open_folder,
+    progress_up_to,
     read_config,
     read_progress,
     read_values,
@@ -63,14 +66,102 @@ def test_rows_have_the_columns_of_the_first(tmp_path):
 
 def test_a_continued_log_drops_what_came_after_its_start(tmp_path):
     log = Log(tmp_path)
-    for step in (10, 20, 30):
+    for step in (10, 20):
         log.row(step, {"a": float(step)})
+    progress = log.progress
+    log.row(30, {"a": 30.0})
     log.close()
-    log = Log(tmp_path, start=20)
+    log = Log(tmp_path, start=20, progress=progress)
     log.row(25, {"a": -1.0})
     log.close()
     assert [row["step"] for row in read_progress(tmp_path)] == ["10", "20", "25"]
     assert [row["a"] for row in read_progress(tmp_path)] == ["10.0", "20.0", "-1.0"]
+    assert (tmp_path / PROGRESS).read_bytes().decode() == log.progress
+
+
+DAMAGES = {
+    "cut within a row": lambda content: content[:-9],
+    "emptied": lambda content: b"",
+    "zeros at its end": lambda content: content[:-9] + bytes(9),
+    "a flipped digit": lambda content: content.replace(b"20.0", b"21.0"),
+    "a row twice": lambda content: content + content.splitlines(keepends=True)[-1],
+    "no text": lambda content: b"\xff\xfe" + content,
+    "missing": None,
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_damaged_progress_is_mended_from_the_checkpoint(tmp_path, damage):
+    log = Log(tmp_path)
+    for step in (10, 20):
+        log.row(step, {"a": float(step), "b": None})
+    log.close()
+    path, whole = tmp_path / PROGRESS, (tmp_path / PROGRESS).read_bytes()
+    if damage == "missing":
+        path.unlink()
+    else:
+        path.write_bytes(DAMAGES[damage](whole))
+    if damage == "a row twice":  # as a row that was written after the checkpoint
+        Log(tmp_path, start=20, progress=log.progress).close()
+    else:
+        with pytest.warns(UserWarning, match=r"progress\.csv was (damaged|missing); it is mended"):
+            Log(tmp_path, start=20, progress=log.progress).close()
+    assert path.read_bytes() == whole
+
+
+def test_damaged_progress_is_kept_beside_the_mended_one(tmp_path):
+    (tmp_path / PROGRESS).write_text("my own notes")
+    with pytest.warns(UserWarning, match=r"what was there is in .*progress\.csv\.damaged"):
+        Log(tmp_path, start=1, progress="step,a\r\n1,2.0\r\n").close()
+    assert (tmp_path / f"{PROGRESS}.damaged").read_text() == "my own notes"
+
+
+def test_progress_is_never_emptied_to_be_written(tmp_path, monkeypatch):
+    log = Log(tmp_path)
+    log.row(10, {"a": 1.0})
+    progress = log.progress
+    log.row(20, {"a": 2.0})
+    log.close()
+    whole = (tmp_path / PROGRESS).read_bytes()
+    monkeypatch.setattr("deep_curiosity.training.log.os.fsync", lambda number: 1 / 0)
+    with pytest.raises(ZeroDivisionError):  # as if killed while what is new is written
+        Log(tmp_path, start=10, progress=progress)
+    assert (tmp_path / PROGRESS).read_bytes() == whole
+
+
+@pytest.mark.parametrize(
+    "row", ["30,1.0", "30,1.0,2.0,3.0", "30,1.0,x", "\0\0\0", "-3,1,1", "x,1,1"]
+)
+def test_rows_that_are_none_are_named(tmp_path, row):
+    (tmp_path / PROGRESS).write_text(f"step,a,b\r\n10,1.0,\r\n20,nan,2.0\r\n{row}\r\n")
+    with pytest.raises(ValueError, match=r"got row 4 of .*progress\.csv.*--resume mends"):
+        read_progress(tmp_path)
+    assert progress_up_to(tmp_path, 10) == "step,a,b\r\n10,1.0,\r\n"
+    assert progress_up_to(tmp_path, 90) == "step,a,b\r\n10,1.0,\r\n20,nan,2.0\r\n"
+    assert progress_up_to(tmp_path, 9) == ""
+
+
+@pytest.mark.parametrize("name", WRITTEN)
+def test_a_folder_with_files_that_a_run_would_write_over_is_refused(tmp_path, name):
+    (tmp_path / name).write_text("mine")
+    with pytest.raises(FileExistsError, match=r"`out` must (hold no file|not hold a run)"):
+        open_folder(Config.of(out=tmp_path))
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+    assert (tmp_path / name).read_text() == "mine"
+
+
+def test_other_files_in_the_folder_are_left_alone(tmp_path):
+    (tmp_path / "job.out").write_text("mine")
+    open_folder(Config.of(out=tmp_path))
+    assert (tmp_path / "job.out").read_text() == "mine"
+
+
+@pytest.mark.parametrize("below", [".", "deeper/still"])
+def test_a_file_in_the_place_of_the_folder_is_named(tmp_path, below):
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(OSError, match=r"`out` must name a folder .*, got .*file"):
+        open_folder(Config.of(out=tmp_path / "file" / below))
+    assert (tmp_path / "file").read_text() == "mine"
 
 
 def test_scalars_are_events_under_their_tags(tmp_path):

@@ -1,20 +1,28 @@
 import csv
 import json
+import multiprocessing
 import os
 import signal
 import subprocess
 import sys
+from typing import ClassVar
 
+import gymnasium
 import imageio.v2 as imageio
 import numpy as np
 import pytest
 import torch
+from gymnasium.vector import AsyncVectorEnv
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from deep_curiosity.training import continue_run, loop, train
-from deep_curiosity.training.checkpoint import NEWEST, load_checkpoint
+from deep_curiosity.training.checkpoint import NEWEST, load_checkpoint, save_checkpoint
 from deep_curiosity.training.collector import Collector
+from deep_curiosity.training.divergence import DivergedError
+from deep_curiosity.training.environments import make_environment
+from deep_curiosity.training.failure import EnvironmentFailedError
 from deep_curiosity.training.learner import Learner
+from deep_curiosity.training.lease import LeaseError
 
 SUMMARY_KEYS = {
     "env_id",
@@ -63,6 +71,15 @@ def assert_same_state(first, second):
             ), key
         else:
             np.testing.assert_equal(leaf, second[key], err_msg=key)
+
+
+def assert_same_run(first, second):
+    """Everything but times is equal."""
+    one, other = load_checkpoint(first), load_checkpoint(second)
+    for state in (one, other):
+        del state["progress"]
+    assert_same_state(one, other)
+    assert rows(first) == rows(second)
 
 
 def rows(folder):
@@ -241,7 +258,7 @@ def test_a_folder_that_holds_a_run_is_left_alone(tiny):
 
 def test_a_run_that_fails_at_once_can_be_continued(tiny, monkeypatch):
     monkeypatch.setattr(Collector, "step", lambda self, action: 1 / 0)
-    with pytest.raises(ZeroDivisionError):
+    with pytest.raises(EnvironmentFailedError, match=r"ZeroDivisionError: .*--resume"):
         train(tiny, show_progress=False)
     monkeypatch.undo()
     assert train(tiny, resume=True, show_progress=False)["total_steps"] == 60
@@ -268,7 +285,9 @@ def test_a_truncated_checkpoint_is_reported_and_the_one_before_it_used(tiny):
     assert summary["total_steps"] == 70
 
 
-def test_an_environment_that_raises_leaves_checkpoint_and_records(tiny, monkeypatch):
+def test_an_environment_that_raises_leaves_all_before_the_step(tiny, monkeypatch, tmp_path):
+    whole = tiny.override(out=tmp_path / "whole")
+    train(whole, show_progress=False)
     step = Collector.step
 
     def failing(self, action):
@@ -277,12 +296,19 @@ def test_an_environment_that_raises_leaves_checkpoint_and_records(tiny, monkeypa
         return step(self, action)
 
     monkeypatch.setattr(Collector, "step", failing)
-    with pytest.raises(RuntimeError, match="the simulator broke"):
+    with pytest.raises(EnvironmentFailedError) as raised:
         train(tiny, show_progress=False)
+    told = str(raised.value)
+    assert "RuntimeError: the simulator broke, from PendulumSwingup, in training" in told
+    assert (
+        f"after step 55; all up to step 55 is saved; continue with --resume {tiny.run.out}" in told
+    )
+    assert str(raised.value.__cause__) == "the simulator broke"
     monkeypatch.undo()
-    assert load_checkpoint(tiny.run.out)["run_log"]["step"] == 50
+    assert load_checkpoint(tiny.run.out)["run_log"]["step"] == 55
     assert [int(row["step"]) for row in rows(tiny.run.out)] == [40]
-    assert train(tiny, resume=True, show_progress=False)["total_steps"] == 60
+    train(tiny, resume=True, show_progress=False)
+    assert_same_run(whole.run.out, tiny.run.out)
 
 
 def test_a_nan_from_the_environment_stops_the_run_by_name(tiny, monkeypatch):
@@ -293,7 +319,7 @@ def test_a_nan_from_the_environment_stops_the_run_by_name(tiny, monkeypatch):
         return taken._replace(reward=np.array([np.nan])), finished
 
     monkeypatch.setattr(Collector, "step", broken)
-    with pytest.raises(ValueError, match="`reward` must be finite, got \\[nan\\]"):
+    with pytest.raises(EnvironmentFailedError, match="`reward` must be finite, got \\[nan\\]"):
         train(tiny, show_progress=False)
 
 
@@ -313,6 +339,260 @@ def test_ctrl_c_ends_after_the_step_with_a_checkpoint(tiny, monkeypatch, capsys)
     assert f"--resume {tiny.run.out}" in capsys.readouterr().out
     monkeypatch.undo()
     assert signal.getsignal(signal.SIGINT) is handler
+
+
+class Stopping(gymnasium.Wrapper):
+    """Sends a signal to this process at a call of an environment, once."""
+
+    calls: ClassVar[dict[str, int]] = {}
+    after: ClassVar[tuple[str, int, int]] = ("step", 0, signal.SIGINT)
+
+    def count(self, name):
+        self.calls[name] = self.calls.get(name, 0) + 1
+        if (name, self.calls[name]) == self.after[:2]:
+            os.kill(os.getpid(), self.after[2])
+            pytest.fail("the call should have been cut off")
+
+    def step(self, action):
+        self.count("step")
+        return super().step(action)
+
+    def reset(self, **options):
+        self.count("reset")
+        return super().reset(**options)
+
+
+@pytest.fixture
+def stop_at(monkeypatch):
+    """Have the environments stop the run at a call, counted over all of them."""
+
+    def stop(name, number, sent):
+        monkeypatch.setattr(Stopping, "calls", {})
+        monkeypatch.setattr(Stopping, "after", (name, number, sent))
+        for where in ("run", "environments"):
+            monkeypatch.setattr(
+                f"deep_curiosity.training.{where}.make_environment",
+                lambda config: Stopping(make_environment(config)),
+            )
+
+    return stop
+
+
+@pytest.mark.parametrize(
+    ("call", "num_envs", "step", "sent"),
+    [
+        (("step", 30), 1, 29, signal.SIGINT),
+        (("step", 41 + 7), 1, 40, signal.SIGINT),  # in an evaluation
+        (("reset", 2), 1, 40, signal.SIGTERM),  # of an evaluation
+        (("step", 3 * 9 + 2), 3, 27, signal.SIGTERM),
+        (("reset", 3 + 1 + 2), 3, 297, signal.SIGINT),  # of the second of three environments
+    ],
+)
+def test_a_run_that_is_cut_off_goes_on_bit_for_bit(
+    tiny, tmp_path, stop_at, monkeypatch, call, num_envs, step, sent
+):
+    sparse = {"env_id": "ReacherSparse", "env_kwargs": {}, "update_to_data": 0.1}
+    whole = tiny.override(**sparse, num_envs=num_envs, out=tmp_path / "whole")
+    if num_envs > 1:
+        lasting = {"evaluation_interval": 200, "total_steps": 306} if step == 297 else {}
+        whole = whole.override(vectorization="sync", **lasting)
+    config = whole.override(out=tiny.run.out)
+    train(whole, show_progress=False)
+    stop_at(*call, sent)
+    summary = train(config, show_progress=False)
+    assert load_checkpoint(config.run.out)["run_log"]["step"] == step == summary["total_steps"]
+    monkeypatch.undo()
+    train(config, resume=True, show_progress=False)
+    assert_same_run(whole.run.out, config.run.out)
+
+
+def test_a_run_in_processes_is_cut_off_as_well(tiny, stop_at):
+    several = {
+        "num_envs": 2,
+        "vectorization": "async",
+        "env_kwargs": {},
+        "env_id": "ReacherSparse",
+    }
+    config = tiny.override(**several)
+    step = Collector.step
+
+    def interrupted(self, action):
+        if len(self.actions) == 20:
+            wait = AsyncVectorEnv.step_wait
+
+            def stopping(environment, timeout=None):
+                os.kill(os.getpid(), signal.SIGTERM)
+                return wait(environment, timeout)
+
+            with pytest.MonkeyPatch.context() as patch:
+                patch.setattr(AsyncVectorEnv, "step_wait", stopping)
+                return step(self, action)
+        return step(self, action)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Collector, "step", interrupted)
+        assert train(config, show_progress=False)["total_steps"] == 40
+    assert not multiprocessing.active_children()
+    assert train(config, resume=True, show_progress=False)["total_steps"] == 60
+
+
+def test_an_evaluation_that_raises_is_made_again(tiny, tmp_path, monkeypatch):
+    whole = tiny.override(out=tmp_path / "whole")
+    train(whole, show_progress=False)
+    monkeypatch.setattr("deep_curiosity.training.run.evaluate", lambda *args, **options: 1 / 0)
+    with pytest.raises(EnvironmentFailedError, match="in an evaluation after step 40; all up to"):
+        train(tiny, show_progress=False)
+    monkeypatch.undo()
+    train(tiny, resume=True, show_progress=False)
+    assert_same_run(whole.run.out, tiny.run.out)
+
+
+def test_rows_between_updates_survive_a_resume(tiny, tmp_path):
+    rare = {"update_to_data": 0.03, "log_interval": 5, "checkpoint_interval": 1}
+    whole = tiny.override(**rare, evaluation_interval=7, total_steps=105, out=tmp_path / "whole")
+    train(whole, show_progress=False)
+    train(whole.override(out=tiny.run.out, total_steps=70), show_progress=False)
+    train(whole.override(out=tiny.run.out), resume=True, show_progress=False)
+    assert rows(whole.run.out) == rows(tiny.run.out)
+
+
+def poisoned_update(monkeypatch, at, poison):
+    """Let an update of the learner end in weights that are not finite."""
+    update = Learner.update
+
+    def broken(self):
+        metrics = update(self)
+        if len(self.replay) >= at:
+            return poison(self, metrics)
+        return metrics
+
+    monkeypatch.setattr(Learner, "update", broken)
+
+
+def poison_loss(learner, metrics):
+    return metrics | {"agent/critic_loss": torch.tensor(float("nan"))}
+
+
+@torch.no_grad()
+def poison_policy(learner, metrics):
+    next(learner.agent.policy.parameters()).fill_(float("nan"))
+    return metrics
+
+
+@pytest.mark.parametrize(
+    ("poison", "at", "message"),
+    [
+        (
+            poison_loss,
+            35,
+            r"`agent/critic_loss` must stay finite, got nan at step 40 of .*step 25",
+        ),
+        (
+            poison_loss,
+            45,
+            r"`agent/critic_loss` must stay finite, got nan at step 50 of .*step 25",
+        ),
+        (poison_policy, 45, r"`agent\.policy\..*` must stay finite, got nan at step 45 .*step 25"),
+        (poison_policy, 60, r"`agent\.policy\..*` must stay finite, got nan at step 60 .*step 50"),
+    ],
+)
+def test_a_run_that_diverges_keeps_its_last_good_checkpoint(
+    tiny, monkeypatch, poison, at, message
+):
+    poisoned_update(monkeypatch, at, poison)
+    with pytest.raises(DivergedError, match=message):
+        train(tiny.override(evaluation_interval=1000), show_progress=False)
+    monkeypatch.undo()
+    state = load_checkpoint(tiny.run.out)
+    assert state["run_log"]["step"] == (50 if at == 60 else 25)
+    assert all(weight.isfinite().all() for weight in state["learner"]["agent"].values())
+    assert train(tiny.override(evaluation_interval=1000), resume=True, show_progress=False)
+
+
+def test_broken_weights_are_not_continued(tiny):
+    train(tiny, show_progress=False)
+    state = load_checkpoint(tiny.run.out)
+    state["learner"]["agent"]["policy.network.layers.0.weight"].fill_(float("inf"))
+    save_checkpoint(tiny.run.out, state)
+    with pytest.raises(DivergedError, match=r"agent\.policy.*got inf at step 60 .*no good check"):
+        continue_run(tiny.run.out, total_steps=80, show_progress=False)
+
+
+def test_a_run_that_was_killed_before_its_first_checkpoint_begins_anew(tiny, monkeypatch):
+    monkeypatch.setattr("deep_curiosity.training.run.save_checkpoint", lambda *a, **o: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        train(tiny, show_progress=False)
+    monkeypatch.undo()
+    assert continue_run(tiny.run.out, show_progress=False)["total_steps"] == 60
+    for name in ("checkpoint.pt", "checkpoint.previous.pt"):
+        (tiny.run.out / name).unlink()
+    with pytest.raises(FileNotFoundError, match="it holds none"):  # what it logged is kept
+        continue_run(tiny.run.out, show_progress=False)
+
+
+def test_damaged_progress_is_mended_when_a_run_is_continued(tiny):
+    train(tiny, show_progress=False)
+    path = tiny.run.out / "progress.csv"
+    whole = path.read_bytes()
+    path.write_bytes(whole[:-30] + bytes(30))
+    with pytest.warns(UserWarning, match=r"run/progress\.csv was damaged; it is mended"):
+        continue_run(tiny.run.out, show_progress=False)
+    assert path.read_bytes() == whole
+
+
+def test_a_checkpoint_of_an_earlier_version_is_continued(tiny):
+    train(tiny, show_progress=False)
+    state = load_checkpoint(tiny.run.out)
+    for name in ("progress", "metrics", "action", "unrecorded"):
+        del state[name]
+    for name in ("evaluation_step", "evaluation_size"):
+        del state["run_log"][name]
+    torch.save(state, tiny.run.out / NEWEST)
+    continue_run(tiny.run.out, total_steps=80, show_progress=False)
+    assert [int(row["step"]) for row in rows(tiny.run.out)] == [40, 60, 80]
+
+
+def test_of_two_resumes_at_once_one_wins(tiny):
+    train(tiny.override(total_steps=30), show_progress=False)
+    code = (
+        "import sys; from deep_curiosity.training import continue_run; sys.stdin.readline(); "
+        "continue_run(sys.argv[1], total_steps=150, show_progress=False)"
+    )
+    runs = [
+        subprocess.Popen(
+            [sys.executable, "-c", code, tiny.run.out],
+            stdin=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        for _ in range(2)
+    ]
+    for run in runs:
+        run.stdin.write("\n")
+        run.stdin.flush()
+    told = [run.communicate()[1] for run in runs]
+    codes = [run.returncode for run in runs]
+    lost = codes.index(1)
+    assert sorted(codes) == [0, 1], told
+    holder = f"held by process {runs[1 - lost].pid} on "
+    assert "LeaseError" in told[lost] and holder in told[lost]
+    assert [int(row["step"]) for row in rows(tiny.run.out)] == [30, *range(40, 160, 20), 150]
+
+
+def test_a_run_whose_folder_is_taken_over_writes_nothing_more(tiny, monkeypatch):
+    update = Learner.update
+
+    def taken_over(self):
+        if len(self.replay) == 45:
+            (lease,) = tiny.run.out.glob("lease.*.json")
+            lease.rename(lease.with_name("lease.9.json"))
+        return update(self)
+
+    monkeypatch.setattr(Learner, "update", taken_over)
+    with pytest.raises(LeaseError, match="taken over by process"):
+        train(tiny, show_progress=False)
+    assert load_checkpoint(tiny.run.out)["run_log"]["step"] == 25
+    assert [int(row["step"]) for row in rows(tiny.run.out)] == [40]
 
 
 @pytest.fixture(scope="module")

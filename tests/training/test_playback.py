@@ -5,8 +5,9 @@ import torch
 from imageio.v3 import immeta
 
 from deep_curiosity.training import train
-from deep_curiosity.training.checkpoint import load_checkpoint
+from deep_curiosity.training.checkpoint import load_checkpoint, save_checkpoint
 from deep_curiosity.training.collector import evaluate
+from deep_curiosity.training.divergence import DivergedError
 from deep_curiosity.training.environments import make_environment
 from deep_curiosity.training.playback import load_agent, load_policy, record_episode, write_video
 from deep_curiosity.training.run import EVALUATION_SEED
@@ -25,9 +26,7 @@ def test_the_policy_is_that_of_the_runs_own_evaluation(tiny, environment):
     (episode,) = evaluate(policy, environment, episodes=1, seed=EVALUATION_SEED)
     evaluations = load_checkpoint(tiny.run.out)["run_log"]["evaluations"]
     assert episode[:2] == evaluations[-1][:2]
-    assert summary["evaluation_return"] == pytest.approx(
-        np.mean([each[0] for each in evaluations])
-    )
+    assert summary["evaluation_return"] == episode.episode_return
 
 
 def test_the_agent_is_as_the_newest_checkpoint_has_it(tiny, environment):
@@ -65,6 +64,15 @@ def test_a_folder_without_a_checkpoint_is_named(tiny, environment, tmp_path):
         load_policy(tmp_path, tiny, environment)
 
 
+def test_a_policy_that_is_not_finite_is_refused(tiny, environment):
+    train(tiny, show_progress=False)
+    state = load_checkpoint(tiny.run.out)
+    state["learner"]["agent"]["policy.network.layers.0.weight"][0, 0, 0] = float("nan")
+    save_checkpoint(tiny.run.out, state)
+    with pytest.raises(DivergedError, match=r"`policy\.network\..*got nan, in the checkpoint in"):
+        load_policy(tiny.run.out, tiny, environment)
+
+
 class Painted:
     """Paints the number of the step, in place of what MuJoCo would."""
 
@@ -86,6 +94,9 @@ def test_an_episode_has_a_frame_for_every_state_but_the_last(environment, monkey
 
 
 def test_a_video_holds_its_frames(tmp_path):
+    (tmp_path / "mine.gif").write_text("mine")
+    with pytest.raises(FileExistsError, match=r"`video` must name a new file, got .*mine\.gif"):
+        write_video(tmp_path / "mine.gif", [], fps=10)
     frames = [np.full((16, 16, 3), 60 * number, np.uint8) for number in range(4)]
     write_video(tmp_path / "new" / "video.gif", frames, fps=10)
     shown = imageio.mimread(tmp_path / "new" / "video.gif")

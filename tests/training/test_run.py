@@ -121,12 +121,15 @@ def test_a_continued_run_may_change_its_number_of_steps_alone():
         merge_config(own.override(bonus="icm"), own)
 
 
-def test_the_summary_is_what_the_run_measured(tiny):
-    summary = train(tiny, show_progress=False)
-    returns = [float(row["eval/return"]) for row in read_progress(tiny.run.out)]
-    assert summary["evaluation_return"] == pytest.approx(np.mean(returns))
+@pytest.mark.parametrize("total_steps", [60, 80])
+def test_the_summary_holds_the_last_evaluation_be_it_scheduled_or_not(tiny, total_steps):
+    config = tiny.override(total_steps=total_steps, evaluation_episodes=2)
+    summary = train(config, show_progress=False)
+    last = read_progress(tiny.run.out)[-1]
+    assert int(last["step"]) == summary["evaluation_step"] == total_steps
+    assert summary["evaluation_return"] == float(last["eval/return"])
     assert summary["versions"]["torch"] == torch.__version__
-    assert summary["bonus"] == "curiosity" and summary["total_steps"] == 60
+    assert summary["bonus"] == "curiosity" and summary["total_steps"] == total_steps
 
 
 def test_peak_memory_is_above_what_is_resident():

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import cloudpickle
 
 from deep_curiosity.experiments.runs import RunStoppedError
+from deep_curiosity.training.lease import LeaseError
 
 
 class Outcome(NamedTuple):
@@ -46,9 +47,11 @@ class Job(NamedTuple):
             function, arguments = pickle.loads(self.payload)
             return Outcome(function(*arguments))
         except Exception as error:
-            kind = type(error).__name__
-            stopped, held = isinstance(error, RunStoppedError), kind == "LeaseError"
-            return Outcome(error=f"{kind}: {error}", stopped=stopped, held=held)
+            return Outcome(
+                error=f"{type(error).__name__}: {error}",
+                stopped=isinstance(error, RunStoppedError),
+                held=isinstance(error, LeaseError),
+            )
 
 
 def make_job(

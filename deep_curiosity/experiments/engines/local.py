@@ -15,6 +15,7 @@ from multiprocessing import get_context
 from queue import SimpleQueue
 
 from deep_curiosity.experiments.engines.base import Engine, Job, Outcome
+from deep_curiosity.experiments.workers import follow_parent
 
 
 class LocalEngine(Engine):
@@ -85,7 +86,7 @@ class _Worker:
 
     def _started(self) -> ProcessPoolExecutor:
         if self._pool is None:
-            pool = ProcessPoolExecutor(1, get_context("spawn"), _leave_ctrl_c_to_the_engine)
+            pool = ProcessPoolExecutor(1, get_context("spawn"), follow_parent)
             self._pid = pool.submit(os.getpid).result()
             self._pool = pool
         return self._pool
@@ -99,10 +100,6 @@ class _Worker:
             with suppress(ProcessLookupError):
                 os.kill(self._pid, signal.SIGTERM)
         pool.shutdown(cancel_futures=True)
-
-
-def _leave_ctrl_c_to_the_engine() -> None:
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 class ExecutorEngine(Engine):

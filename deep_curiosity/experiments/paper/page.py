@@ -15,6 +15,9 @@ from deep_curiosity.experiments.paper.reliable_unreliable import (
     write_reliable_unreliable,
 )
 from deep_curiosity.experiments.paper.samples import Quantities, write_samples
+from deep_curiosity.experiments.tables import check_page
+
+TITLE = "# The paper in numbers"
 
 
 def write_paper(folder: Path, seed: int = 0) -> None:
@@ -23,7 +26,11 @@ def write_paper(folder: Path, seed: int = 0) -> None:
     Args:
         folder: Folder of the files, made if it is missing.
         seed: Seed of the random policies, environments and samples.
+
+    Raises:
+        FileExistsError: If the folder holds a page or tables of something else.
     """
+    check_page(folder, TITLE)
     folder.mkdir(parents=True, exist_ok=True)
     clever = write_clever_random(folder, seed)
     reliable = write_reliable_unreliable(folder, seed)

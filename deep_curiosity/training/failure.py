@@ -1,0 +1,50 @@
+"""Environments that raise: what is said of it, and how they are left."""
+
+import traceback
+import warnings
+from contextlib import suppress
+
+from gymnasium.vector import SyncVectorEnv, VectorEnv
+
+from deep_curiosity.training.config import Config
+
+
+class EnvironmentFailedError(RuntimeError):
+    """An environment has raised an error while it was stepped or reset."""
+
+
+def environment_failure(
+    config: Config, error: Exception, activity: str, *, step: int, kept: str
+) -> EnvironmentFailedError:
+    """An error that says which environment failed where, and how to go on.
+
+    Args:
+        config: Settings of the run.
+        error: What the environment raised.
+        activity: What it was stepped for.
+        step: The last step that is complete.
+        kept: What is saved of the run.
+    """
+    own, index = config.environment, failed_index(error)
+    which = "" if index is None else f", number {index} of {own.num_envs}"
+    return EnvironmentFailedError(
+        f"`env_id` must name an environment that steps and resets without an error, got "
+        f"{type(error).__name__}: {error}, from {own.env_id}{which}, in {activity} after step "
+        f"{step}; {kept}; continue with --resume {config.run.out}."
+    )
+
+
+def failed_index(error: Exception) -> int | None:
+    """Which of several environments that are stepped in turn has raised, from 0, where known."""
+    for frame, _ in traceback.walk_tb(error.__traceback__):
+        if isinstance(frame.f_locals.get("self"), SyncVectorEnv):
+            index = frame.f_locals.get("i")
+            return index if isinstance(index, int) else None
+    return None
+
+
+def close_at_once(environment: VectorEnv) -> None:
+    """Close environments that were cut off within a call, waiting for none of their processes."""
+    with warnings.catch_warnings(), suppress(Exception):
+        warnings.simplefilter("ignore")  # that a call is pending
+        environment.close(terminate=True)

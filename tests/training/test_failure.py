@@ -1,0 +1,32 @@
+import gymnasium
+import pytest
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+
+from deep_curiosity.training.config import Config
+from deep_curiosity.training.failure import environment_failure, failed_index
+
+
+class Breaking(gymnasium.Wrapper):
+    def step(self, action):
+        raise OSError("the link to the robot is down")
+
+
+def test_the_one_of_several_environments_that_raised_is_named():
+    makers = [
+        lambda wrap=wrap: wrap(gymnasium.make("Pendulum-v1"))
+        for wrap in (gymnasium.Wrapper, gymnasium.Wrapper, Breaking)
+    ]
+    several = SyncVectorEnv(makers, autoreset_mode=AutoresetMode.DISABLED)
+    several.reset(seed=0)
+    with pytest.raises(OSError, match="robot") as raised:
+        several.step(several.action_space.sample())
+    several.close()
+    assert failed_index(raised.value) == 2
+    config = Config.of(env_id="Pendulum-v1", num_envs=3, out="runs/robot")
+    told = str(environment_failure(config, raised.value, "training", step=6, kept="it is saved"))
+    assert "got OSError: the link to the robot is down, from Pendulum-v1, number 2 of 3," in told
+    assert "in training after step 6; it is saved; continue with --resume runs/robot." in told
+
+
+def test_a_single_environment_has_no_number():
+    assert failed_index(ValueError("no traceback")) is None
