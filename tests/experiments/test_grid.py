@@ -134,19 +134,6 @@ def test_tables_are_written_as_results_come(small_study, tmp_path):
     assert [row["seed"] for row in table(tmp_path / "out")] == ["1"]
 
 
-def test_a_run_that_was_stopped_does_not_count(small_study, tmp_path, monkeypatch):
-    study = replace(small_study, seeds=1, agents={"none": {"bonus": "none"}})
-    train = runs.train
-    monkeypatch.setattr(
-        runs,
-        "train",
-        lambda config, **options: train(config, **options) | {"total_steps": 30},
-    )
-    with ThreadPoolExecutor(1) as executor:
-        places = {"runs": tmp_path / "runs", "out": tmp_path / "out"}
-        assert run_study(study, **places, executor=executor) == 1
-
-
 @pytest.mark.parametrize("name", ["out.csv", "out.md", "out.png", "out_curves.csv"])
 def test_files_that_are_none_of_a_study_are_left_alone(small_study, tmp_path, name):
     (tmp_path / name).write_text("mine")
