@@ -111,10 +111,13 @@ def test_a_study_on_a_cluster_that_loses_workers_and_nodes_ends_with_the_same_ta
     from deep_curiosity.experiments.engines.ray import RayEngine
 
     config = tiny.override(
-        total_steps=400, checkpoint_interval=50, log_interval=20, evaluation_interval=100
+        total_steps=240, checkpoint_interval=40, log_interval=20, evaluation_interval=100
     )
     study = Study(
-        [Task("pendulum", config), Task("maze", config.override(env_id="PointMaze", env_kwargs={}))],
+        [
+            Task("pendulum", config),
+            Task("maze", config.override(env_id="PointMaze", env_kwargs={})),
+        ],
         {"curiosity": {}, "none": {"bonus": "none"}},
         seeds=2,
         curves=True,
