@@ -101,7 +101,7 @@ def test_a_mistake_on_the_command_line_is_answered_in_one_line(
     assert message in f"{stopped.value.code}{printed.err}{printed.out}"
 
 
-@pytest.mark.parametrize("script", ["train.py", "evaluate.py", "study.py"])
+@pytest.mark.parametrize("script", ["train.py", "evaluate.py", "study.py", "tune.py"])
 def test_help_says_what_every_option_is(monkeypatch, capsys, script):
     with pytest.raises(SystemExit) as stopped:
         run_here(monkeypatch, script, "--help")
