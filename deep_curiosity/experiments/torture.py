@@ -80,7 +80,7 @@ def torture(folder: Path, *, kills: int, seed: int, seconds: float) -> dict[str,
         config = tortured_config(num_envs, prior)
         if name not in references:
             references[name] = _reference(config.override(out=folder / f"reference{number}"))
-        left = min(kills - done, MAX_KILLS)
+        left = min(kills - done, MAX_KILLS, -(-kills // len(VARIANTS)))
         run = config.override(out=folder / f"chain{number}")
         _chain(run, references[name], tallies.setdefault(name, Tally()), left, chance)
     raise AssertionError
