@@ -112,4 +112,5 @@ def _outcome_of(future: "Future[Outcome]") -> Outcome:
     try:
         return future.result()
     except Exception as error:  # whatever an engine raises: its worker or its node died
-        return Outcome(error=f"{type(error).__name__}: {error}", stopped=True)
+        first = str(error).partition("\n")[0]  # Ray adds a page of its own state
+        return Outcome(error=f"{type(error).__name__}: {first}", stopped=True)

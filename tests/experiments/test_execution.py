@@ -8,7 +8,7 @@ from deep_curiosity.experiments import execution
 from deep_curiosity.experiments.engines.base import Engine, Job, Outcome
 from deep_curiosity.experiments.execution import Ended, Execution
 
-LOST = ConnectionError("the node is gone")
+LOST = ConnectionError("the node is gone\nand this is its state")
 STOPPED = Outcome(error="RunStoppedError: stopped", stopped=True)
 HELD = Outcome(error="LeaseError: held", held=True)
 
