@@ -1,5 +1,6 @@
 """Slurm's part is played by submitit's own executor of processes of this machine."""
 
+import gc
 import time
 
 import pytest
@@ -7,6 +8,11 @@ import pytest
 from deep_curiosity.experiments.engines.base import Outcome, make_job
 from deep_curiosity.experiments.execution import Ended, Execution
 from tests.experiments.engines import functions
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::ResourceWarning"),
+    pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
+]
 
 
 @pytest.fixture
@@ -17,6 +23,8 @@ def engine(tmp_path, monkeypatch):
     monkeypatch.setattr(slurm, "POLLING_SECONDS", 0.1)
     with slurm.SlurmEngine(tmp_path / "slurm", cluster="local") as engine:
         yield engine
+    del engine
+    gc.collect()  # so that warnings about the processes of submitit fall into these tests
 
 
 def test_an_array_of_jobs_is_done_and_a_lost_one_again(engine, tmp_path):
