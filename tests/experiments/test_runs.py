@@ -29,7 +29,7 @@ def test_a_finished_run_is_read(tiny, monkeypatch):
 
 
 def test_a_run_that_is_stopped_is_none_to_measure_and_goes_on(tiny):
-    with pytest.raises(RunStoppedError, match="must reach its 60 steps .* stopped at step 40"):
+    with pytest.raises(RunStoppedError, match=r"must reach its 60 steps .* stopped at step 40"):
         run_once(tiny, on_evaluation=lambda step, values: True)
     assert run_once(tiny)["total_steps"] == 60
 
