@@ -13,7 +13,13 @@ from deep_curiosity.training.log import read_progress
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text()
-OF_THE_COMMAND_LINE = {"resume": "None", "bonus": "curiosity", "preset": "fast"}
+OF_THE_COMMAND_LINE = {
+    "resume": "None",
+    "bonus": "curiosity",
+    "preset": "fast",
+    "settings": "None",
+    "stop_when_solved": "None",
+}
 OF_OTHER_COMMANDS = {
     "help", "help-all",
     "episodes", "video",  # of evaluate.py

@@ -33,6 +33,7 @@ COMMANDS = {
     "evaluate": Command("deep_curiosity.cli.evaluate", "play a run; --video films an episode"),
     "plot": Command("deep_curiosity.cli.plot", "learning curves of many runs, PNG and HTML"),
     "study": Command("deep_curiosity.cli.study", "tasks x agents x seeds, with statistics"),
+    "tune": Command("deep_curiosity.cli.tune", "choose settings by trials of tasks x seeds"),
     "export": Command("deep_curiosity.cli.export", "write a policy as ONNX, .pt2 or safetensors"),
     "check": Command("deep_curiosity.cli.check", "whether the bonus works on your environment"),
     "demo": Command("deep_curiosity.cli.demo", "play an agent that comes with the package"),

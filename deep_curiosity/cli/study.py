@@ -13,14 +13,15 @@ from typing import Annotated
 import tyro
 
 from deep_curiosity.arguments import check_file, check_folder, read_arguments
-from deep_curiosity.configuration import Group, setting
+from deep_curiosity.configuration import setting
+from deep_curiosity.experiments.engines import EngineArgs, make_engine
 from deep_curiosity.experiments.grid import SUFFIXES, overridden, part_of, run_study
 from deep_curiosity.experiments.studies import find_study
 from deep_curiosity.training.command_line import read_settings
 
 
-@dataclass(frozen=True)
-class Args(Group):
+@dataclass(frozen=True, kw_only=True)
+class Args(EngineArgs):
     """What to study, and where."""
 
     study: Annotated[str, tyro.conf.Positional]
@@ -39,8 +40,6 @@ class Args(Group):
     out: Path | None = None
     """Path of table, summary and figure, without suffix; by default as documented. Files there
     that are none of a study are left alone."""
-    workers: int = setting(2, at_most=1_024)
-    """Processes at a time."""
 
     def __post_init__(self) -> None:
         """Refuse folders that cannot be, before anything is run."""
@@ -63,5 +62,6 @@ def main(arguments: Sequence[str]) -> int:
         study = replace(study, seeds=args.seeds)
     study = overridden(study, read_settings(args.set))
     out = args.out or folder / "-".join((name, *args.tasks, *args.agents))
-    failed = run_study(study, runs=args.runs / name, out=out, workers=args.workers)
+    engine = make_engine(args, args.runs)
+    failed = run_study(study, runs=args.runs / name, out=out, engine=engine)
     return int(failed > 0)

@@ -8,13 +8,16 @@ require_training()
 from collections.abc import Sequence
 
 from deep_curiosity.training import train
+from deep_curiosity.training.callbacks import stop_when_solved
 from deep_curiosity.training.command_line import parse
 
 
 def main(arguments: Sequence[str]) -> int:
     """Train, and say where the run lies."""
     command = parse(arguments, description=__doc__ or "", prog="deep-curiosity train")
-    summary = train(command.config, resume=command.resume)
+    solved = command.stop_when_solved
+    on_evaluation = None if solved is None else stop_when_solved(solved)
+    summary = train(command.config, resume=command.resume, on_evaluation=on_evaluation)
     folder = command.config.run.out
     print(f"evaluation return {summary['evaluation_return']}, records in {folder}")
     return 0

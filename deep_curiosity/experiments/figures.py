@@ -1,7 +1,7 @@
 """Figures of studies: learning curves, and what was measured, with intervals over seeds."""
 
 from collections import defaultdict
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -111,3 +111,18 @@ def _plot_intervals(axes: Axes, estimates: Sequence[Estimate], values: Groups) -
 
 def _is_named(study: Study) -> bool:
     return any(isinstance(agent, str) for agent in study.agents)
+
+
+def plot_search(path: Path, scores: Sequence[float], importances: Mapping[str, float]) -> None:
+    """Two panels of a search: score of each trial and the best so far; weight of each setting."""
+    figure = Figure(figsize=(9.6, 3.6), layout="constrained")
+    history, weights = figure.subplots(1, 2)
+    known = np.array(scores, dtype=float)
+    history.plot(known, "o", color="C0", markersize=4, label="trial")
+    history.step(range(len(known)), np.fmax.accumulate(known), where="post", label="best so far")
+    history.set(xlabel="trial", ylabel="score", title="History")
+    history.legend()
+    names = sorted(importances, key=lambda name: importances[name])
+    weights.barh(names, [importances[name] for name in names])
+    weights.set(xlabel="share of the differences of score", title="Importance")
+    figure.savefig(path, dpi=120)

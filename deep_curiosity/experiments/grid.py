@@ -2,24 +2,29 @@
 
 import math
 import sys
-from collections.abc import Iterator, Sequence
-from concurrent.futures import Executor, as_completed
-from contextlib import contextmanager
+import time
+from collections.abc import Sequence
+from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from deep_curiosity.experiments.engines.base import Engine, Job, Outcome, make_job
+from deep_curiosity.experiments.engines.local import ExecutorEngine, LocalEngine
+from deep_curiosity.experiments.execution import Execution
 from deep_curiosity.experiments.figures import plot_columns, plot_curves
+from deep_curiosity.experiments.progress import Progress
 from deep_curiosity.experiments.runs import find_finished, finished_key, run_own
 from deep_curiosity.experiments.statistics import probability_of_improvement
 from deep_curiosity.experiments.study import Cell, Result, Row, Study
 from deep_curiosity.experiments.tables import markdown_table, select, summarize, write_table
-from deep_curiosity.experiments.workers import worker_processes
+from deep_curiosity.training.interruption import terminated_like_interrupted
 
 SUFFIXES = (".csv", ".md", ".png")
 """Of the files of a study: tables, summary, figure."""
 CHOSEN = ("out", "seed")
 """Settings that a study chooses for each of its runs."""
+WRITING_SECONDS = 10.0  # from one writing of the tables to the next, while results come
 MANY_TO_COMPARE = 12  # agents: a table of all pairs would be longer than anyone reads
 
 ENDINGS = (".csv", "_curves.csv", ".md", ".png")
@@ -85,59 +90,105 @@ def cells_of(study: Study, runs: Path) -> list[Cell]:
 
 
 def run_study(
-    study: Study, *, runs: Path, out: Path, workers: int = 2, executor: Executor | None = None
+    study: Study,
+    *,
+    runs: Path,
+    out: Path,
+    workers: int = 2,
+    engine: Engine | None = None,
+    executor: Executor | None = None,
 ) -> int:
-    """Run every cell, and write tables, curves, summary and figure as far as they come.
+    """Run every cell, and write tables as results come, then summary and figure.
 
     A run that is finished is read, one that was cut off is continued; one whose folder holds a run
     of other settings, or that raises, is listed as failed, and the others go on. Ctrl-C or SIGTERM
-    ends all, each run with a checkpoint to continue from.
+    ends all, each run with a checkpoint to continue from when this is called again.
 
     Args:
         study: What is run.
-        runs: Folder that receives the folders of the runs.
+        runs: Folder that receives the folders of the runs; all machines of an engine share it.
         out: Path without suffix of the table (.csv), the curves (_curves.csv), the summary (.md)
             and the figure (.png).
-        workers: Processes at a time, where no executor is given.
-        executor: Anything of `concurrent.futures`, such as Dask's or Ray's.
+        workers: Processes at a time, where neither engine nor executor is given.
+        engine: Where the runs are computed; it is closed at the end.
+        executor: Anything of `concurrent.futures`, such as Dask's, instead of an engine.
 
     Returns:
         Number of runs that failed.
 
     Raises:
         FileExistsError: If a file at `out` is none that a study has written.
-        KeyboardInterrupt: If it is stopped.
+        KeyboardInterrupt: If it is stopped, once what came is written.
     """
     check_out(study, out)
     cells = cells_of(study, runs)
-    results: dict[int, Result] = {}
-    failures: list[str] = []
-    with _executor(executor, workers) as pool:
-        futures = {pool.submit(study.run, cell): number for number, cell in enumerate(cells)}
-        for future in as_completed(futures):
-            cell = cells[futures[future]]
-            try:
-                results[futures[future]] = future.result()
-            except Exception as error:  # whatever a run raises, the others go on
-                where = f"{cell.task.name}, {cell.agent}, seed {cell.seed}"
-                failures.append(f"{where}: {type(error).__name__}: {error}")
-                print(f"failed: {failures[-1]}", file=sys.stderr, flush=True)
-            else:
-                print(f"{len(results)} of {len(cells)} runs", flush=True)
-    if results:
-        rows, curves = collect(cells, results)
-        report(study, rows, curves, failures, out)
-    return len(failures)
+    if engine is None:
+        engine = LocalEngine(workers) if executor is None else ExecutorEngine(executor)
+    records = Records(study, cells, out)
+    with terminated_like_interrupted(), engine, Progress(cells) as progress:
+        execution = Execution(engine, [*map(_job, cells)], progress.step_of)
+        try:
+            for ended in execution:
+                if ended is not None:
+                    records.add(*ended)
+                    progress.end(ended.number)
+                progress.show(execution.running, records.num_failed)
+                records.write_some()
+        finally:
+            records.write()
+    return records.num_failed
 
 
-@contextmanager
-def _executor(executor: Executor | None, workers: int) -> Iterator[Executor]:
-    """The caller's own executor, which is left open, or processes of this machine."""
-    if executor is not None:
-        yield executor
-    else:
-        with worker_processes(workers) as pool:
-            yield pool
+def _job(cell: Cell) -> Job:
+    speed = cell.planned.speed
+    return make_job(cell.study.run, cell, threads=speed.threads, device=speed.device)
+
+
+class Records:
+    """What the runs of a study gave so far, and its files.
+
+    Args:
+        study: What is run.
+        cells: Its runs.
+        out: Path of its files, without suffix.
+    """
+
+    def __init__(self, study: Study, cells: Sequence[Cell], out: Path) -> None:
+        self._study = study
+        self._cells = cells
+        self._out = out
+        self._results: dict[int, Result] = {}
+        self._failures: dict[int, str] = {}
+        self._written = 0
+        self._next = 0.0
+
+    @property
+    def num_failed(self) -> int:
+        """Runs that raised, or were lost again and again."""
+        return len(self._failures)
+
+    def add(self, number: int, outcome: Outcome) -> None:
+        """Note how a run ended."""
+        if not outcome.error:
+            self._results[number] = outcome.result
+            return
+        cell = self._cells[number]
+        failure = f"{cell.task.name}, {cell.agent}, seed {cell.seed}: {outcome.error}"
+        self._failures[number] = failure
+        print(f"failed: {failure}", file=sys.stderr, flush=True)
+
+    def write_some(self) -> None:
+        """Write the tables where something came, now and then."""
+        if self._written < len(self._results) and time.monotonic() > self._next:
+            self._written, self._next = len(self._results), time.monotonic() + WRITING_SECONDS
+            write_tables(self._study, *collect(self._cells, self._results), self._out)
+
+    def write(self) -> None:
+        """Write everything."""
+        if self._results:
+            rows, curves = collect(self._cells, self._results)
+            failures = [self._failures[number] for number in sorted(self._failures)]
+            report(self._study, rows, curves, failures, self._out)
 
 
 def output_path(out: Path, ending: str) -> Path:
@@ -178,13 +229,19 @@ def collect(cells: Sequence[Cell], results: dict[int, Result]) -> tuple[list[Row
     return rows, curves
 
 
+def write_tables(study: Study, rows: list[Row], curves: list[Row], out: Path) -> None:
+    """Write table and curves."""
+    write_table(output_path(out, ".csv"), rows)
+    if study.curves:
+        write_table(output_path(out, "_curves.csv"), curves)
+
+
 def report(
     study: Study, rows: list[Row], curves: list[Row], failures: Sequence[str], out: Path
 ) -> None:
     """Write table, curves, summary and figure of what was measured."""
-    write_table(output_path(out, ".csv"), rows)
+    write_tables(study, rows, curves, out)
     if study.curves:
-        write_table(output_path(out, "_curves.csv"), curves)
         plot_curves(output_path(out, ".png"), study, rows, curves)
     else:
         plot_columns(output_path(out, ".png"), study, rows)

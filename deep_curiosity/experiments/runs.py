@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deep_curiosity import __version__
+from deep_curiosity.training.callbacks import Callback
 from deep_curiosity.training.config import Config, config_key
 from deep_curiosity.training.log import (
     CONFIG,
@@ -35,8 +36,16 @@ MEASURED = (
 )
 
 
+class RunStoppedError(RuntimeError):
+    """A run was stopped before its end, and can go on from its checkpoint."""
+
+
 def run_own(cell: "Cell") -> "Result":
-    """Train an agent of this package, unless it is trained already, and measure it."""
+    """Train an agent of this package, unless it is trained already, and measure it.
+
+    Raises:
+        RunStoppedError: If the run is stopped before its end.
+    """
     from deep_curiosity.experiments.study import Result
 
     config = cell.config
@@ -59,16 +68,20 @@ def changed_settings(config: Config) -> str:
     return json.dumps({k: v for k, v in config.changes().items() if k != "out"})
 
 
-def run_once(config: Config) -> dict[str, Any]:
+def run_once(config: Config, on_evaluation: Callback | None = None) -> dict[str, Any]:
     """Summary of a run: read where it is finished, continued or begun where it is not.
+
+    Args:
+        config: Settings of the run.
+        on_evaluation: As in `train`.
 
     Raises:
         FileExistsError: If the folder holds a run of other settings.
-        RuntimeError: If it is stopped before its end; it can be continued.
+        RunStoppedError: If it is stopped before its end; it can be continued.
     """
     folder = config.run.out
     if not (folder / CONFIG).exists():
-        return _to_its_end(config)
+        return _to_its_end(config, on_evaluation)
     there, here = config_key(read_values(folder)), config_key(config.to_json())
     differing = {name for name in there.keys() | here.keys() if there.get(name) != here.get(name)}
     if others := sorted(differing - {"total_steps"}):
@@ -80,13 +93,15 @@ def run_once(config: Config) -> dict[str, Any]:
         summary: dict[str, Any] = json.loads((folder / SUMMARY).read_text())
         if summary["total_steps"] >= config.run.total_steps:
             return summary
-    return _to_its_end(config, resume=True)
+    return _to_its_end(config, on_evaluation, resume=True)
 
 
-def _to_its_end(config: Config, *, resume: bool = False) -> dict[str, Any]:
-    summary = train(config, resume=resume, show_progress=False)
+def _to_its_end(
+    config: Config, on_evaluation: Callback | None, *, resume: bool = False
+) -> dict[str, Any]:
+    summary = train(config, resume=resume, on_evaluation=on_evaluation, show_progress=False)
     if summary["total_steps"] < config.run.total_steps:
-        raise RuntimeError(
+        raise RunStoppedError(
             f"a run must reach its {config.run.total_steps} steps to count, got one stopped at "
             f"step {summary['total_steps']}: {config.run.out}; run the study again to continue it."
         )

@@ -78,7 +78,9 @@ def probability_of_improvement(first: Groups, second: Groups, *, seed: int = 0) 
     for one, other in zip(first, second, strict=True):
         wins = np.sign(np.subtract.outer(one, other)) / 2 + 0.5  # seeds seeds
         drawn = random.integers(len(wins), size=(NUM_RESAMPLES, len(wins)))
-        resampled.append(wins[drawn[:, :, None], drawn[:, None, :]].mean((1, 2)))
+        counts = np.zeros(drawn.shape)  # how often each seed was drawn: resamples seeds
+        np.add.at(counts, (np.arange(NUM_RESAMPLES)[:, None], drawn), 1)
+        resampled.append(((counts @ wins) * counts).sum(1) / wins.size)
         values.append(wins.mean())
     return Estimate(float(np.mean(values)), *_interval(np.mean(resampled, axis=0)))
 

@@ -99,6 +99,11 @@ class Cell:
         settings = self.study.agents[self.agent]
         return self.task.config.override(**settings, seed=self.seed, out=self.folder)
 
+    @property
+    def planned(self) -> Config:
+        """Settings by which length and needs of the run are known, whoever sees to it."""
+        return self.config if self.study.run is run_own else self.task.config
+
 
 @dataclass(frozen=True)
 class Result:

@@ -21,7 +21,7 @@ from typing import Any
 
 import torch
 
-from deep_curiosity.training import loop
+from deep_curiosity.training import figures, loop
 from deep_curiosity.training.checkpoint import has_checkpoint, load_checkpoint
 from deep_curiosity.training.config import Config
 from deep_curiosity.training.log import CONFIG, PROGRESS, read_progress
@@ -160,7 +160,7 @@ def _begin(config: Config) -> int:
             os.dup2(output.fileno(), 1)
             os.dup2(output.fileno(), 2)
         warnings.simplefilter("error")  # nothing may be damaged
-        loop._plot = _unplotted
+        figures.plot_run = _unplotted
         loop.train(config, resume=(config.run.out / CONFIG).exists(), show_progress=False)
         status = 0
     except BaseException:

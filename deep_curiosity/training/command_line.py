@@ -7,6 +7,7 @@ require_training()
 
 import ast
 import inspect
+import json
 import sys
 import textwrap
 from collections.abc import Sequence
@@ -21,7 +22,7 @@ import tyro
 from deep_curiosity.arguments import check_folder, read_arguments
 from deep_curiosity.bonuses.config import BONUS_CONFIGS
 from deep_curiosity.configuration import Setting, flat
-from deep_curiosity.training.config import PRESETS, Config, merge_config
+from deep_curiosity.training.config import IGNORED, PRESETS, Config, merge_config
 from deep_curiosity.training.log import read_config
 
 COMMON = (
@@ -70,6 +71,8 @@ RESUME_HELP = (
     "Folder of a run to continue, in place; what does not change what is learned may be given "
     "anew: total_steps, intervals, evaluation_episodes, device, threads, compile."
 )
+SETTINGS_HELP = "JSON file of settings by their flat names, as tune writes it; flags go before it."
+STOP_HELP = "Mean return of an evaluation from which the run stops, as solved; it can be resumed."
 
 
 class Command(NamedTuple):
@@ -77,6 +80,7 @@ class Command(NamedTuple):
 
     config: Config
     resume: bool
+    stop_when_solved: float | None = None
 
 
 def parse(
@@ -101,9 +105,12 @@ def parse(
     given = ["--help" if argument == "--help-all" else argument for argument in given]
     resume = _peek(given, "--resume")
     own = Config() if resume is None else _read_own(resume)
-    base = own.override(
+    base = own
+    if (path := _peek(given, "--settings")) is not None:
+        base = base.override(**read_file(Path(path)))
+    base = base.override(
         _known(_peek(given, "--preset"), PRESETS),
-        bonus=_known(_peek(given, "--bonus"), BONUS_CONFIGS) or own.bonus,
+        bonus=_known(_peek(given, "--bonus"), BONUS_CONFIGS) or base.bonus,
     )
     kind = _command_class(base, show_all)
     read = vars(read_arguments(kind, given, description=description, prog=prog))
@@ -111,19 +118,35 @@ def parse(
     config = base.override(**values)
     if resume is None:
         check_folder("out", config.run.out)
-        return Command(config, False)
+        return Command(config, False, read["stop_when_solved"])
     if config.run.out.resolve() != own.run.out.resolve():
         raise ValueError(
             f"`out` must be left out where a run is continued in {own.run.out}, "
             f"got {config.run.out}."
         )
-    return Command(merge_config(config, own), True)
+    return Command(merge_config(config, own), True, read["stop_when_solved"])
 
 
 def _read_own(folder: str) -> Config:
     """Settings of the run that is to be continued."""
     check_folder("resume", Path(folder))
     return read_config(Path(folder))
+
+
+def read_file(path: Path) -> dict[str, Any]:
+    """Settings in a JSON file, by their flat names; where a run lies, and what a clock chose, not.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it holds something else.
+    """
+    try:
+        values = json.loads(path.read_text())
+    except ValueError as error:
+        raise ValueError(f"`settings` must name a JSON file, got {path}: {error}.") from error
+    if not isinstance(values, dict):
+        raise ValueError(f"`settings` must name a file of names and values, got {path}.")
+    return {name: value for name, value in values.items() if name not in IGNORED}
 
 
 def _peek(arguments: list[str], flag: str) -> str | None:
@@ -146,10 +169,14 @@ def _command_class(base: Config, show_all: bool) -> type:
     bonus = Annotated[Literal[tuple(BONUS_CONFIGS)], tyro.conf.arg(help=BONUS_HELP)]  # type: ignore[valid-type]
     preset = Annotated[Literal[tuple(PRESETS)], tyro.conf.arg(help=PRESET_HELP)]  # type: ignore[valid-type]
     resumed = Annotated[Path | None, tyro.conf.arg(help=RESUME_HELP)]
+    file = Annotated[Path | None, tyro.conf.arg(help=SETTINGS_HELP)]
+    solved = Annotated[float | None, tyro.conf.arg(help=STOP_HELP)]
     own: list[Any] = [
         ("resume", resumed, field(default=None)),
         ("bonus", bonus, field(default=base.bonus.kind)),
         ("preset", preset, field(default="fast")),
+        ("settings", file, field(default=None)),
+        ("stop_when_solved", solved, field(default=None)),
     ]
     for name, each in flat(base).items():
         hidden = () if show_all or name in COMMON else (tyro.conf.Suppress,)

@@ -12,6 +12,7 @@ from typing import Any
 
 from tqdm import tqdm
 
+from deep_curiosity.training.callbacks import Callback, call
 from deep_curiosity.training.collector import Episode
 from deep_curiosity.training.config import Config
 from deep_curiosity.training.environments import MakeEnv
@@ -27,12 +28,15 @@ def train(
     resume: bool = False,
     hunger: HungerFunction | None = None,
     make_env: MakeEnv | None = None,
+    on_evaluation: Callback | None = None,
+    on_log: Callback | None = None,
     show_progress: bool = True,
 ) -> dict[str, Any]:
     """Train an agent and leave its records in a folder.
 
     Ctrl-C, or SIGTERM, ends the run with a checkpoint to continue from: after the step in
-    progress, or before it where the environments take long.
+    progress, or before it where the environments take long. So does a callback that returns
+    `True`, once the step is recorded.
 
     Args:
         config: Settings of the run.
@@ -44,6 +48,10 @@ def train(
             its hunger. A resumed run must be given it again.
         make_env: Makes an environment of the caller's own, anew at every call, in the place of
             `env_id`. A resumed run must be given it again.
+        on_evaluation: Called after every evaluation with the step and its `eval/return` and
+            `eval/success_rate`; `True` stops the run.
+        on_log: Called at every row of progress.csv with the step and the values of the row, by
+            their tags; `True` stops the run.
         show_progress: Show a bar with return, bonus in nats and steps per second.
 
     Returns:
@@ -95,9 +103,12 @@ def train(
 
                 # Evaluate without noise, log, keep a checkpoint
                 if run.reached(course.evaluation_interval) or run.all_steps_taken:
-                    run.evaluate()
+                    evaluation = run.evaluate()
+                    interruption.requested |= call(on_evaluation, run_log.step, evaluation)
                 if run.metrics and (run.reached(course.log_interval) or run.all_steps_taken):
-                    bar.set_postfix_str(_postfix(run.progress()), refresh=False)
+                    values = run.progress()
+                    interruption.requested |= call(on_log, run_log.step, values)
+                    bar.set_postfix_str(_postfix(values), refresh=False)
                 run.unrecorded = False
                 if run.reached(course.checkpoint_interval):
                     run.save()
@@ -130,6 +141,8 @@ def continue_run(
     total_steps: int | None = None,
     hunger: HungerFunction | None = None,
     make_env: MakeEnv | None = None,
+    on_evaluation: Callback | None = None,
+    on_log: Callback | None = None,
     show_progress: bool = True,
     **settings: Any,
 ) -> dict[str, Any]:
@@ -140,6 +153,8 @@ def continue_run(
         total_steps: Environment steps, those already taken included; as before when `None`.
         hunger: As in `train`.
         make_env: As in `train`.
+        on_evaluation: As in `train`.
+        on_log: As in `train`.
         show_progress: As in `train`.
         **settings: What else is to change: intervals, `evaluation_episodes`, which leave what is
             learned as it is; `device`, `threads`, `compile` and other switches of speed, which
@@ -157,7 +172,13 @@ def continue_run(
         settings["total_steps"] = total_steps
     config = read_config(Path(folder)).override(**settings)
     return train(
-        config, resume=True, hunger=hunger, make_env=make_env, show_progress=show_progress
+        config,
+        resume=True,
+        hunger=hunger,
+        make_env=make_env,
+        on_evaluation=on_evaluation,
+        on_log=on_log,
+        show_progress=show_progress,
     )
 
 

@@ -150,8 +150,11 @@ class Run:
         self.run_log.step += self.config.environment.num_envs
         return finished
 
-    def evaluate(self) -> None:
+    def evaluate(self) -> dict[str, float]:
         """Run the deterministic policy for whole episodes.
+
+        Returns:
+            What is logged of them.
 
         Raises:
             EnvironmentFailedError: If the environment raises; all up to this step is saved.
@@ -165,7 +168,9 @@ class Run:
                 seed=EVALUATION_SEED,
             )
         self.run_log.on_evaluated(episodes)
-        self.log.scalars(self.run_log.step, self._latest_evaluation())
+        values = self._latest_evaluation()
+        self.log.scalars(self.run_log.step, values)
+        return values
 
     @contextmanager
     def _saved_on_failure(self, activity: str) -> Iterator[None]:

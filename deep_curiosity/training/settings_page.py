@@ -5,7 +5,14 @@ from typing import Any
 
 from deep_curiosity.bonuses.config import BONUS_CONFIGS
 from deep_curiosity.configuration import Group, as_plain, flat
-from deep_curiosity.training.command_line import BONUS_HELP, PRESET_HELP, RESUME_HELP, help_of
+from deep_curiosity.training.command_line import (
+    BONUS_HELP,
+    PRESET_HELP,
+    RESUME_HELP,
+    SETTINGS_HELP,
+    STOP_HELP,
+    help_of,
+)
 from deep_curiosity.training.config import PRESETS, Config
 
 INTRODUCTION = """\
@@ -28,7 +35,9 @@ def settings_page() -> str:
     own = {"environment": config.environment, "run": config.run, "agent": config.agent}
     bonuses = {f"bonus: {kind}": make() for kind, make in BONUS_CONFIGS.items() if kind != "none"}
     command_line = [_row("resume", None, RESUME_HELP), _row("bonus", "curiosity", BONUS_HELP)]
-    command_line += [_row("preset", "fast", PRESET_HELP), "\n"]
+    command_line += [_row("preset", "fast", PRESET_HELP)]
+    command_line += [_row("settings", None, SETTINGS_HELP)]
+    command_line += [_row("stop_when_solved", None, STOP_HELP), "\n"]
     for name, values in [each for each in PRESETS.items() if each[1]]:
         flags = " ".join(f"--{_flag(key)} {value}" for key, value in values.items())
         command_line.append(f"- `--preset {name}` is `{flags}`\n")

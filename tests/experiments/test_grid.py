@@ -7,7 +7,10 @@ import pytest
 
 from deep_curiosity import __version__
 from deep_curiosity.experiments import runs
+from deep_curiosity.experiments.engines.base import Outcome
+from deep_curiosity.experiments.engines.local import LocalEngine
 from deep_curiosity.experiments.grid import (
+    Records,
     cells_of,
     compare,
     output_path,
@@ -15,8 +18,8 @@ from deep_curiosity.experiments.grid import (
     part_of,
     run_study,
 )
-from deep_curiosity.experiments.study import Study, Task
-from deep_curiosity.training import Config
+from deep_curiosity.experiments.study import Result, Study, Task
+from deep_curiosity.training import Config, train
 from deep_curiosity.training.source import source_commit
 
 
@@ -80,17 +83,55 @@ def test_a_cut_off_run_is_continued(small_study, tmp_path):
     assert [row["total_steps"] for row in table(tmp_path / "out")] == ["40"]
 
 
-def test_a_run_that_was_stopped_does_not_count(small_study, tmp_path, monkeypatch):
+class InterruptedEngine(LocalEngine):
+    """Has its user press Ctrl-C when the second run is given to it."""
+
+    def __init__(self):
+        super().__init__(1)
+        self.given = 0
+
+    def submit(self, jobs):
+        self.given += len(jobs)
+        if self.given == 2:
+            raise KeyboardInterrupt
+        return super().submit(jobs)
+
+
+def test_ctrl_c_leaves_what_came_and_the_same_command_goes_on(small_study, tmp_path):
+    places = {"runs": tmp_path / "runs", "out": tmp_path / "out"}
+    with pytest.raises(KeyboardInterrupt):
+        run_study(small_study, **places, engine=InterruptedEngine())
+    assert len(table(tmp_path / "out")) == 1
+    with ThreadPoolExecutor(1) as executor:
+        assert run_study(small_study, **places, executor=executor) == 0
+    assert len(table(tmp_path / "out")) == 4
+
+
+def test_a_run_that_is_stopped_goes_on_in_the_same_study(small_study, tmp_path, monkeypatch):
+    stopped = []
+
+    def train_or_stop(config, **options):
+        if not stopped:
+            stopped.append(config)
+            options["on_evaluation"] = lambda step, values: True
+        return train(config, **options)
+
+    monkeypatch.setattr(runs, "train", train_or_stop)
     study = replace(small_study, seeds=1, agents={"none": {"bonus": "none"}})
-    train = runs.train
-    monkeypatch.setattr(
-        runs,
-        "train",
-        lambda config, **options: train(config, **options) | {"total_steps": 30},
-    )
     with ThreadPoolExecutor(1) as executor:
         places = {"runs": tmp_path / "runs", "out": tmp_path / "out"}
-        assert run_study(study, **places, executor=executor) == 1
+        assert run_study(study, **places, executor=executor) == 0
+    assert stopped and [row["total_steps"] for row in table(tmp_path / "out")] == ["40"]
+
+
+def test_tables_are_written_as_results_come(small_study, tmp_path):
+    cells = cells_of(small_study, tmp_path / "runs")
+    records = Records(small_study, cells, tmp_path / "out")
+    result = Result([{"evaluation_return": 1.0}], [], {"version": "1"})
+    for number in (2, 0):
+        records.add(number, Outcome(result))
+        records.write_some()  # the second time nothing is due yet
+    assert [row["seed"] for row in table(tmp_path / "out")] == ["1"]
 
 
 @pytest.mark.parametrize("name", ["out.csv", "out.md", "out.png", "out_curves.csv"])

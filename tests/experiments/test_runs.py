@@ -4,6 +4,7 @@ import pytest
 
 from deep_curiosity.experiments import runs
 from deep_curiosity.experiments.runs import (
+    RunStoppedError,
     find_finished,
     finished_key,
     measure_area,
@@ -25,6 +26,12 @@ def test_a_finished_run_is_read(tiny, monkeypatch):
     summary = run_once(tiny)
     monkeypatch.setattr(runs, "train", None)
     assert run_once(tiny) == json.loads(json.dumps(summary))
+
+
+def test_a_run_that_is_stopped_is_none_to_measure_and_goes_on(tiny):
+    with pytest.raises(RunStoppedError, match=r"must reach its 60 steps .* stopped at step 40"):
+        run_once(tiny, on_evaluation=lambda step, values: True)
+    assert run_once(tiny)["total_steps"] == 60
 
 
 def test_a_run_of_the_same_settings_is_found_wherever_it_lies(tiny, tmp_path):

@@ -1,5 +1,4 @@
 import json
-import multiprocessing
 import os
 import signal
 import subprocess
@@ -8,7 +7,6 @@ import time
 
 import pytest
 
-from deep_curiosity.experiments.workers import worker_processes
 from deep_curiosity.training.checkpoint import load_checkpoint
 
 STUDY = """
@@ -69,15 +67,3 @@ def test_the_runs_of_a_study_end_with_it_and_leave_a_checkpoint(tmp_path, sent):
     for folder in folders:
         assert load_checkpoint(folder)["run_log"]["step"] > 0
         assert not list(folder.glob("lease.*"))
-
-
-def test_workers_end_with_the_block_and_others_are_left_alone():
-    other = multiprocessing.get_context("spawn").Process(target=time.sleep, args=(PATIENCE,))
-    other.start()
-    with pytest.raises(KeyError), worker_processes(1) as pool:
-        future = pool.submit(time.sleep, PATIENCE)
-        wait_until(future.running)
-        raise KeyError
-    assert multiprocessing.active_children() == [other]
-    other.terminate()
-    other.join()

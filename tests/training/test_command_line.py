@@ -12,6 +12,8 @@ from deep_curiosity.training.command_line import COMMON, help_of, parse, read_se
 from deep_curiosity.training.config import PRESETS, Config
 from deep_curiosity.training.log import open_folder
 
+OF_THE_COMMAND_LINE = {"resume", "bonus", "preset", "settings", "stop-when-solved"}
+
 
 def read(*arguments):
     return parse([str(argument) for argument in arguments], description="A test.").config
@@ -56,17 +58,17 @@ def test_without_arguments_it_is_the_default():
 def test_help_shows_what_a_user_turns_and_help_all_the_rest(capsys):
     common = flags(capsys, "--help")
     assert 20 <= len(common) <= 32
-    assert common == dashed(COMMON) | {"resume", "bonus", "preset"}
+    assert common == dashed(COMMON) | OF_THE_COMMAND_LINE
     assert flags(capsys, "-h") == common
     everything = flags(capsys, "--help-all")
-    assert everything == dashed(flat(Config())) | {"resume", "bonus", "preset"}
+    assert everything == dashed(flat(Config())) | OF_THE_COMMAND_LINE
     assert len(everything) > 2 * len(common) - 10
 
 
 @pytest.mark.parametrize("bonus", BONUS_CONFIGS)
 def test_help_is_that_of_the_bonus(capsys, bonus):
     everything = flags(capsys, "--bonus", bonus, "--help-all")
-    assert everything == dashed(flat(Config.of(bonus=bonus))) | {"resume", "bonus", "preset"}
+    assert everything == dashed(flat(Config.of(bonus=bonus))) | OF_THE_COMMAND_LINE
 
 
 @pytest.mark.parametrize("bonus", BONUS_CONFIGS)
@@ -308,3 +310,14 @@ def test_what_is_shown_and_what_ends_an_episode_are_set():
     assert config.environment.observation_keys == ("observation", "goal")
     assert config.environment.terminate_on_success
     assert Config.from_json(json.loads(json.dumps(config.to_json()))) == config
+
+
+def test_settings_are_read_from_a_file_and_flags_go_before_it(tmp_path):
+    path = tmp_path / "best.json"
+    path.write_text('{"learning_rate": 0.01, "batch_size": 64, "bonus": "rnd", "out": "else"}')
+    found = read("--settings", path, "--batch-size", 32)
+    assert found == Config.of(learning_rate=0.01, batch_size=32, bonus="rnd")
+    for text, message in (("{", "`settings` must name a JSON file"), ("[]", "names and values")):
+        path.write_text(text)
+        with pytest.raises(ValueError, match=message):
+            read("--settings", path)

@@ -4,8 +4,14 @@ import sys
 from difflib import get_close_matches
 from importlib import import_module
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
+import cloudpickle
+
+from deep_curiosity.experiments.search import Search
 from deep_curiosity.experiments.study import Study
+from deep_curiosity.requirements import require
 
 FOLDERS = {
     "development": Path("docs/development"),
@@ -52,30 +58,75 @@ def find_study(name: str) -> tuple[str, Study, Path]:
 
 
 def _find_own(path: Path, wanted: str) -> tuple[str, Study, Path]:
-    studies = _read_own(path)
-    name = wanted or (next(iter(studies)) if len(studies) == 1 else "")
-    if name not in studies:
-        raise ValueError(f"`study` must be one of {', '.join(studies)} in {path}, got {name!r}.")
-    return name, studies[name], Path("results")
+    name, study = load_own(path, "STUDIES", wanted)
+    return name, study, Path("results")
 
 
-def _read_own(path: Path) -> dict[str, Study]:
-    """`STUDIES` of a file."""
+def load_own(path: Path, table: str, wanted: str) -> tuple[str, Any]:
+    """An entry of a table in a file of the user's own, whose code then travels to all workers.
+
+    Args:
+        path: Of the file.
+        table: Name of the dictionary there, STUDIES or SEARCHES.
+        wanted: Key of the entry; the only one when empty.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ValueError: If it cannot be read, or has no such entry.
+    """
+    name_of, kind = {"STUDIES": ("study", Study), "SEARCHES": ("search", Search)}[table]
+    module = _load_module(path, name_of)
+    entries = getattr(module, table, None)
+    if not isinstance(entries, dict) or not all(isinstance(e, kind) for e in entries.values()):
+        raise ValueError(
+            f"`{name_of}` must hold {table}, each a {kind.__name__} by its name, got {path}."
+        )
+    name = wanted or (next(iter(entries)) if len(entries) == 1 else "")
+    if name not in entries:
+        raise ValueError(
+            f"`{name_of}` must be one of {', '.join(entries)} in {path}, got {name!r}."
+        )
+    return name, entries[name]
+
+
+def _load_module(path: Path, name: str) -> ModuleType:
+    """Import a file of the user's own."""
     if not path.is_file():
-        raise FileNotFoundError(f"`study` must name a file that exists, got {path}.")
-    sys.path.insert(0, str(path.resolve().parent))  # where workers find it too
+        raise FileNotFoundError(f"`{name}` must name a file that exists, got {path}.")
+    sys.path.insert(0, str(path.resolve().parent))  # for what it imports itself
     try:
         module = import_module(path.stem)
     except SyntaxError as error:
-        raise ValueError(f"`study` must be a file of Python, got {path}: {error}.") from error
+        raise ValueError(f"`{name}` must be a file of Python, got {path}: {error}.") from error
     if Path(module.__file__ or "").resolve() != path.resolve():
         raise ValueError(
-            f"`study` must be a file whose name no other module has, got {path}, which is "
+            f"`{name}` must be a file whose name no other module has, got {path}, which is "
             f"hidden by {module.__file__}."
         )
-    studies = getattr(module, "STUDIES", None)
-    if not isinstance(studies, dict) or not all(
-        isinstance(study, Study) for study in studies.values()
-    ):
-        raise ValueError(f"`study` must hold STUDIES, each a Study by its name, got {path}.")
-    return studies
+    cloudpickle.register_pickle_by_value(module)
+    return module
+
+
+def find_search(name: str) -> tuple[str, Search]:
+    """A search for settings by its name, or the one in a file of the user's own.
+
+    Args:
+        name: Such as `agent`; or `FILE.py`, whose `SEARCHES` has one; or `FILE.py:NAME`.
+
+    Returns:
+        Its name, and the search.
+
+    Raises:
+        FileNotFoundError: If there is no such file.
+        ImportError: If Optuna is missing, with the command that installs it.
+        ValueError: If there is no such search.
+    """
+    require("optuna", extra="tune")
+    file, _, wanted = name.partition(":")
+    if file.endswith(".py"):
+        return load_own(Path(file), "SEARCHES", wanted)
+    searches = import_module(f"{__name__}.searches").SEARCHES
+    if name not in searches:
+        choices = ", ".join(searches)
+        raise ValueError(f"`search` must be a file or one of {choices}, got {name!r}.")
+    return name, searches[name]

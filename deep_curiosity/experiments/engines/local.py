@@ -1,0 +1,125 @@
+"""Processes of this machine, and any executor of `concurrent.futures`."""
+
+import os
+import signal
+from collections.abc import Sequence
+from concurrent.futures import (
+    BrokenExecutor,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+)
+from contextlib import suppress
+from multiprocessing import get_context
+from queue import SimpleQueue
+
+from deep_curiosity.experiments.engines.base import Engine, Job, Outcome
+from deep_curiosity.experiments.workers import follow_parent
+
+
+class LocalEngine(Engine):
+    """Processes of this machine; where one dies, its run alone is lost.
+
+    Args:
+        workers: Processes at a time.
+
+    Raises:
+        ValueError: If there is none.
+    """
+
+    def __init__(self, workers: int = 2) -> None:
+        if workers < 1:
+            raise ValueError(f"`workers` must be at least 1, got {workers}.")
+        self.workers = workers
+        self._threads = ThreadPoolExecutor(workers)
+        self._idle: SimpleQueue[_Worker] = SimpleQueue()
+        self._all = [_Worker() for _ in range(workers)]
+        for worker in self._all:
+            self._idle.put(worker)
+
+    def capacity(self, job: Job) -> int:
+        """As many as there are workers."""
+        return self.workers
+
+    def submit(self, jobs: Sequence[Job]) -> list[Future[Outcome]]:
+        """Have them done by the workers, in this order."""
+        return [self._threads.submit(self._run, job) for job in jobs]
+
+    def _run(self, job: Job) -> Outcome:
+        worker = self._idle.get()  # there is one for every thread
+        try:
+            return worker.run(job)
+        finally:
+            self._idle.put(worker)
+
+    def close(self) -> None:
+        """Tell the workers to stop, and wait until what they do is saved."""
+        self._threads.shutdown(wait=False, cancel_futures=True)
+        for worker in self._all:
+            worker.stop()
+        self._threads.shutdown()
+
+
+class _Worker:
+    """A process, started when it is needed, and again after it has died."""
+
+    def __init__(self) -> None:
+        self._pool: ProcessPoolExecutor | None = None
+        self._pid = 0
+        self._busy = False
+
+    def run(self, job: Job) -> Outcome:
+        """Have a job done.
+
+        Raises:
+            BrokenExecutor: If the process dies.
+        """
+        try:
+            pool, self._busy = self._started(), True
+            return pool.submit(job.run).result()
+        except BrokenExecutor:
+            self._pool = None
+            raise
+        finally:
+            self._busy = False
+
+    def _started(self) -> ProcessPoolExecutor:
+        if self._pool is None:
+            pool = ProcessPoolExecutor(1, get_context("spawn"), follow_parent)
+            self._pid = pool.submit(os.getpid).result()
+            self._pool = pool
+        return self._pool
+
+    def stop(self) -> None:
+        """Tell the process to stop, which a run does after its present step, and wait for it."""
+        pool = self._pool
+        if pool is None:
+            return
+        if self._busy:
+            with suppress(ProcessLookupError):
+                os.kill(self._pid, signal.SIGTERM)
+        pool.shutdown(cancel_futures=True)
+
+
+class ExecutorEngine(Engine):
+    """Any executor of `concurrent.futures`, such as Dask's; it is the caller's to close.
+
+    Args:
+        executor: Takes what can be pickled, or runs in this process.
+    """
+
+    def __init__(self, executor: Executor) -> None:
+        self._executor = executor
+        self._futures: list[Future[Outcome]] = []
+
+    def submit(self, jobs: Sequence[Job]) -> list[Future[Outcome]]:
+        """Hand them on."""
+        futures = [self._executor.submit(job.run) for job in jobs]
+        self._futures += futures
+        return futures
+
+    def close(self) -> None:
+        """Take back what has not begun."""
+        for future in self._futures:
+            future.cancel()

@@ -1,0 +1,56 @@
+"""What a search for settings is: tasks, the settings that vary, and how returns are compared."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from deep_curiosity.configuration import flat
+from deep_curiosity.experiments.study import Task
+
+
+@dataclass(frozen=True)
+class Search:
+    """Settings to choose for all tasks at once, by the score of tasks x seeds.
+
+    Args:
+        tasks: What is to be learned.
+        space: Flat name of every setting that varies, to an `optuna.distributions` object.
+        ranges: Name of each task to the returns that count as 0 and as 1, such as those of a
+            uniformly random and of a good policy.
+        seeds: Number of seeds of every trial on each task.
+        first_seed: The first of them; what is found is reported on other ones.
+    """
+
+    tasks: Sequence[Task]
+    space: Mapping[str, Any]
+    ranges: Mapping[str, tuple[float, float]]
+    seeds: int = 2
+    first_seed: int = 1_000
+
+    def __post_init__(self) -> None:
+        """Check that every task can be scored, and every setting be set.
+
+        Raises:
+            TypeError: If a setting is none of the tasks'.
+            ValueError: If there is nothing to choose, or a task has no range.
+        """
+        if not self.space or not self.tasks:
+            raise ValueError(
+                "`space` and `tasks` must have an entry each, "
+                f"got {len(self.space)} and {len(self.tasks)}."
+            )
+        for task in self.tasks:
+            low, high = self.ranges.get(task.name, (0.0, 0.0))
+            if not low < high:
+                raise ValueError(
+                    f"`ranges` must give two rising returns for {task.name}, got {low} and {high}."
+                )
+            if unknown := sorted(set(self.space) - set(flat(task.config))):
+                raise TypeError(
+                    f"`space` must hold settings of {task.name}, got {', '.join(unknown)}."
+                )
+
+    def normalise(self, task: str, value: float) -> float:
+        """A return of a task on the scale of all."""
+        low, high = self.ranges[task]
+        return (value - low) / (high - low)

@@ -1,0 +1,29 @@
+"""Searches for settings, made by `scripts/tune.py NAME`."""
+
+from optuna.distributions import CategoricalDistribution, FloatDistribution
+
+from deep_curiosity.experiments.search import Search
+from deep_curiosity.experiments.studies.comparisons import MOUNTAIN_CAR, PENDULUM
+from deep_curiosity.experiments.study import Task
+
+STEPS = 8_000  # half of what the studies take: few settings are slow first and better later
+
+
+def _halved(task: Task) -> Task:
+    config = task.config.override(total_steps=STEPS, update_to_data=0.5)
+    return Task(task.name, config, task.solved_return)
+
+
+SEARCHES = {
+    "agent": Search(
+        [_halved(PENDULUM), _halved(MOUNTAIN_CAR)],
+        {
+            "learning_rate": FloatDistribution(1e-4, 1e-2, log=True),
+            "temperature": FloatDistribution(2e-3, 0.2, log=True),
+            "curiosity_discount": CategoricalDistribution((0.9, 0.97, 0.99)),
+            "batch_size": CategoricalDistribution((64, 128, 256)),
+        },
+        {PENDULUM.name: (0.0, 150.0), MOUNTAIN_CAR.name: (0.0, 95.0)},
+    ),
+}
+"""Name of each search to what it is."""

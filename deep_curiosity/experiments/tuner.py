@@ -1,0 +1,327 @@
+"""Choosing settings: trials of tasks x seeds on any engine, asked of Optuna and told to it.
+
+Reference: Akiba et al., "Optuna: A Next-generation Hyperparameter Optimization Framework" (2019),
+https://arxiv.org/abs/1907.10902.
+"""
+
+import json
+import math
+import sys
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import optuna
+from optuna.trial import TrialState
+
+from deep_curiosity.configuration import flat
+from deep_curiosity.experiments.engines.base import Engine, Job, make_job
+from deep_curiosity.experiments.execution import Ended, Execution
+from deep_curiosity.experiments.figures import plot_search
+from deep_curiosity.experiments.progress import latest_step
+from deep_curiosity.experiments.runs import RunStoppedError, run_once
+from deep_curiosity.experiments.search import Search
+from deep_curiosity.experiments.statistics import interquartile_mean
+from deep_curiosity.experiments.tables import write_table
+from deep_curiosity.training.config import Config
+from deep_curiosity.training.interruption import terminated_like_interrupted
+from deep_curiosity.training.log import write_json
+
+EVALUATIONS = "evaluations.jsonl"
+STOP = "stop"  # its being there tells the runs of a trial to stop
+ENDED = (TrialState.COMPLETE, TrialState.PRUNED, TrialState.FAIL)
+Pruner = Literal["median", "hyperband", "none"]
+
+
+def tune(
+    search: Search,
+    *,
+    trials: int,
+    runs: Path,
+    out: Path,
+    engine: Engine,
+    storage: str | None = None,
+    pruner: Pruner = "median",
+    at_once: int = 1,
+    seed: int = 0,
+) -> optuna.Study:
+    """Try settings, the present ones first, and write the best as they are found.
+
+    A search that was cut off goes on with the trials it was at. Which settings are tried depends
+    on `seed`, `at_once` and the scores alone, neither on clocks nor on interruptions.
+
+    Args:
+        search: What may be chosen, and how it is scored.
+        trials: How many settings are tried, those of earlier calls included.
+        runs: Folder of the runs, shared by all machines of the engine.
+        out: Path without suffix of the best settings (.json), which `train` takes, the table of
+            trials (.csv), and the figure of history and importance (.png).
+        engine: Where the runs are computed; it is closed at the end.
+        storage: Of Optuna, as a URL; a file in `runs` when `None`.
+        pruner: Which trials are stopped early, after an evaluation that all their runs have had.
+        at_once: Trials that are chosen together and computed side by side.
+        seed: Of the sampler.
+
+    Returns:
+        Optuna's study.
+
+    Raises:
+        ValueError: If a number is below 1.
+    """
+    for name, number in (("trials", trials), ("at_once", at_once)):
+        if number < 1:
+            raise ValueError(f"`{name}` must be at least 1, got {number}.")
+    study = open_study(search, runs, storage, pruner)
+    with terminated_like_interrupted(), engine:
+        while count_ended(study) < trials:
+            wanted = min(at_once, trials - count_ended(study))
+            batch = [_Trial(search, each, runs) for each in ask(study, search, wanted, seed)]
+            run_batch(batch, engine)
+            for trial in batch:
+                trial.tell(study)
+            write_search(study, out)
+    return study
+
+
+def open_study(
+    search: Search, runs: Path, storage: str | None = None, pruner: Pruner = "median"
+) -> optuna.Study:
+    """Optuna's study of a search, made or opened again; its first trial has the present settings.
+
+    Args:
+        search: What may be chosen.
+        runs: Folder of the storage where none is given.
+        storage: As a URL.
+        pruner: Which trials are stopped early.
+    """
+    runs.mkdir(parents=True, exist_ok=True)
+    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    study = optuna.create_study(
+        storage=storage or f"sqlite:///{runs / 'trials.db'}",
+        study_name=runs.name,
+        direction="maximize",
+        pruner=_make_pruner(search, pruner),
+        load_if_exists=True,
+    )
+    present = {name: flat(search.tasks[0].config)[name].value for name in search.space}
+    if not study.trials and all(_holds(search.space[name], present[name]) for name in present):
+        study.enqueue_trial(present)
+    return study
+
+
+def _make_pruner(search: Search, pruner: Pruner) -> optuna.pruners.BasePruner:
+    evaluations = [
+        task.config.run.total_steps // task.config.run.evaluation_interval for task in search.tasks
+    ]
+    pruners: dict[Pruner, optuna.pruners.BasePruner] = {
+        "median": optuna.pruners.MedianPruner(n_startup_trials=5, n_warmup_steps=1),
+        "hyperband": optuna.pruners.HyperbandPruner(
+            min_resource=1, max_resource=max(1, *evaluations), bootstrap_count=0
+        ),
+        "none": optuna.pruners.NopPruner(),
+    }
+    return pruners[pruner]
+
+
+def _holds(distribution: Any, value: Any) -> bool:
+    """Whether a distribution can give a value."""
+    try:
+        return bool(distribution._contains(distribution.to_internal_repr(value)))
+    except (TypeError, ValueError):  # of another kind
+        return False
+
+
+def count_ended(study: optuna.Study) -> int:
+    """Trials that are over."""
+    return len(study.get_trials(deepcopy=False, states=ENDED))
+
+
+def ask(study: optuna.Study, search: Search, wanted: int, seed: int) -> list[optuna.trial.Trial]:
+    """Trials to compute next: first those that were cut off.
+
+    Every trial has a sampler of its own, seeded by its number, so that what it tries does not
+    depend on how often the search was cut off before.
+    """
+    open_trials = study.get_trials(deepcopy=False, states=(TrialState.RUNNING,))
+    trials = []
+    for number in range(count_ended(study), count_ended(study) + wanted):
+        study.sampler = optuna.samplers.TPESampler(seed=seed + number)
+        if open_trials:
+            trial = optuna.trial.Trial(study, open_trials.pop(0)._trial_id)
+            for name, distribution in search.space.items():
+                trial._suggest(name, distribution)  # reads what was chosen
+        else:
+            trial = study.ask(dict(search.space))
+        trials.append(trial)
+    return trials
+
+
+@dataclass
+class _Trial:
+    """A trial in progress.
+
+    Args:
+        search: What it belongs to.
+        trial: Optuna's.
+        runs: Folder of the runs of all trials.
+    """
+
+    search: Search
+    trial: optuna.trial.Trial
+    runs: Path
+    pruned: bool = False
+    failures: list[str] = field(default_factory=list)
+
+    @property
+    def folder(self) -> Path:
+        """Of its runs."""
+        return self.runs / f"trial{self.trial.number:04d}"
+
+    @cached_property
+    def cells(self) -> list[tuple[str, Config]]:
+        """Task and settings of every run."""
+        seeds = range(self.search.first_seed, self.search.first_seed + self.search.seeds)
+        return [
+            (
+                task.name,
+                task.config.override(
+                    **self.trial.params, seed=seed, out=self.folder / task.name / f"seed{seed}"
+                ),
+            )
+            for seed in seeds
+            for task in self.search.tasks
+        ]
+
+    def jobs(self) -> list[Job]:
+        """Its runs, packed."""
+        stop = self.folder / STOP
+        return [
+            make_job(
+                run_cell, config, stop, threads=config.speed.threads, device=config.speed.device
+            )
+            for _, config in self.cells
+        ]
+
+    def curves(self) -> list[list[float]]:
+        """Normalised return of every run at each of its evaluations so far."""
+        return [
+            [
+                self.search.normalise(task, value)
+                for value in read_evaluations(config.run.out).values()
+            ]
+            for task, config in self.cells
+        ]
+
+    def review(self) -> None:
+        """Report the evaluations that all runs have had, and stop them where that is poor."""
+        if self.pruned:
+            return
+        known = self.trial.study.get_trials(deepcopy=False)[self.trial.number].intermediate_values
+        for index, values in enumerate(zip(*self.curves(), strict=False)):
+            if index < max(known, default=0):
+                continue  # it was not stopped for that one
+            if index not in known:
+                self.trial.report(score_of(values), index)
+            if self.trial.should_prune():
+                self.pruned = True
+                self.stop()
+                return
+
+    def stop(self) -> None:
+        """Tell its runs to stop, those that have not begun too."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        (self.folder / STOP).touch()
+
+    def tell(self, study: optuna.Study) -> None:
+        """Tell Optuna how it ended."""
+        if self.failures:
+            study.tell(self.trial, state=TrialState.FAIL)
+        elif self.pruned:
+            study.tell(self.trial, state=TrialState.PRUNED)
+        else:
+            study.tell(self.trial, score_of([curve[-1] for curve in self.curves()]))
+
+
+def score_of(values: Sequence[float]) -> float:
+    """Interquartile mean of normalised returns, one of each run; NaN counts as very poor."""
+    return float(interquartile_mean(np.nan_to_num(np.array(values), nan=-1e9)))
+
+
+def run_batch(batch: Sequence[_Trial], engine: Engine) -> None:
+    """Compute trials side by side, and review them as their evaluations come."""
+    owners = [(trial, config) for trial in batch for _, config in trial.cells]
+    jobs = [job for trial in batch for job in trial.jobs()]
+    for ended in Execution(engine, jobs, lambda number: latest_step(owners[number][1].run.out)):
+        if ended is not None and ended.outcome.error:
+            _note_failure(*owners[ended.number], ended)
+        for trial in batch:
+            trial.review()
+
+
+def _note_failure(trial: _Trial, config: Config, ended: Ended) -> None:
+    trial.failures.append(ended.outcome.error)
+    trial.stop()
+    print(f"failed: {config.run.out}: {ended.outcome.error}", file=sys.stderr, flush=True)
+
+
+def run_cell(config: Config, stop: Path) -> None:
+    """One run of a trial, whose evaluations are noted, until its end or a file tells it to stop.
+
+    Args:
+        config: Settings of the run.
+        stop: The file.
+
+    Raises:
+        RunStoppedError: If the run is stopped otherwise.
+    """
+    if stop.exists():
+        return
+
+    def note(step: int, values: Mapping[str, float]) -> bool:
+        with (config.run.out / EVALUATIONS).open("a") as file:
+            file.write(json.dumps([step, values["eval/return"]]) + "\n")
+        return stop.exists()
+
+    try:
+        run_once(config, note)
+    except RunStoppedError:
+        if not stop.exists():
+            raise
+
+
+def read_evaluations(folder: Path) -> dict[int, float]:
+    """Return of a run at each step of evaluation; one that was repeated counts once."""
+    path = folder / EVALUATIONS
+    if not path.exists():
+        return {}
+    whole = path.read_text().split("\n")[:-1]
+    return dict(sorted(json.loads(line) for line in whole))
+
+
+def write_search(study: optuna.Study, out: Path) -> None:
+    """Write best settings, table and figure of what was tried so far.
+
+    Args:
+        study: Of Optuna.
+        out: Path without suffix.
+    """
+    out.parent.mkdir(parents=True, exist_ok=True)
+    trials = study.get_trials(deepcopy=False, states=ENDED)
+    rows = [
+        {"trial": each.number, "state": each.state.name.lower(), "score": each.value} | each.params
+        for each in trials
+    ]
+    write_table(out.with_suffix(".csv"), rows)
+    complete = [each for each in trials if each.state is TrialState.COMPLETE]
+    if complete:
+        write_json(out.with_suffix(".json"), study.best_params)
+        scores = [math.nan if each.value is None else each.value for each in trials]
+        plot_search(out.with_suffix(".png"), scores, importances(study, len(complete)))
+
+
+def importances(study: optuna.Study, num_complete: int) -> dict[str, float]:
+    """Share of each setting in how scores differ; empty where there are too few."""
+    return dict(optuna.importance.get_param_importances(study)) if num_complete > 1 else {}

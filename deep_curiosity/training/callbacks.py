@@ -1,0 +1,37 @@
+"""What a caller is told of a run in progress: functions of step and values that may stop it."""
+
+import math
+from collections.abc import Callable, Mapping
+
+Callback = Callable[[int, Mapping[str, float]], bool | None]
+"""From the step and the values at it, by their tags, to whether the run is to stop. A value that
+is not known, such as the success rate of a task that defines none, is NaN."""
+
+
+def call(callback: Callback | None, step: int, values: Mapping[str, float]) -> bool:
+    """Tell a callback; whether it asks to stop, which only `True` and its like do."""
+    return callback is not None and bool(callback(step, values))
+
+
+def stop_when_solved(solved_return: float) -> Callback:
+    """Callback that stops a run at the first evaluation whose mean return reaches a number.
+
+    Raises:
+        ValueError: If the number is NaN, which no return reaches.
+    """
+    if math.isnan(solved_return):
+        raise ValueError(f"`stop_when_solved` must be a number, got {solved_return}.")
+
+    def is_solved(step: int, values: Mapping[str, float]) -> bool:
+        return values["eval/return"] >= solved_return
+
+    return is_solved
+
+
+def in_turn(*callbacks: Callback | None) -> Callback:
+    """Callback that tells several, all of them, and stops where one asks to."""
+
+    def tell_all(step: int, values: Mapping[str, float]) -> bool:
+        return any([call(callback, step, values) for callback in callbacks])
+
+    return tell_all

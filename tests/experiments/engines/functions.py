@@ -1,0 +1,46 @@
+"""What the tests of engines have computed: small functions that any worker can import."""
+
+import os
+import signal
+import time
+from pathlib import Path
+
+from deep_curiosity.experiments.runs import RunStoppedError
+
+
+def square(number: int) -> int:
+    return number**2
+
+
+def process(_: object = None) -> int:
+    return os.getpid()
+
+
+def fail(message: str) -> None:
+    raise ArithmeticError(message)
+
+
+def stop() -> None:
+    raise RunStoppedError("stopped")
+
+
+def die_once(folder: Path) -> int:
+    """Kill the own process at the first call, and count in a file how often it was called."""
+    calls = folder / "calls"
+    number = len(calls.read_text()) if calls.exists() else 0
+    calls.write_text("x" * (number + 1))
+    if number == 0:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number + 1
+
+
+def wait_until_told(folder: Path) -> str:
+    """Wait for SIGTERM or an interruption, and note it."""
+    told: list[int] = []
+    for number in (signal.SIGTERM, signal.SIGINT):
+        signal.signal(number, lambda signum, frame: told.append(signum))
+    (folder / "begun").touch()
+    while not told:
+        time.sleep(0.05)
+    (folder / "saved").touch()
+    return "saved"

@@ -1,0 +1,34 @@
+import pytest
+
+from deep_curiosity.experiments.engines import EngineArgs, LocalEngine, make_engine
+from deep_curiosity.integrations import requirements
+
+
+@pytest.mark.parametrize(("name", "package"), [("ray", "ray"), ("slurm", "submitit")])
+def test_an_engine_whose_package_is_missing_names_the_command(
+    name, package, monkeypatch, tmp_path
+):
+    def missing(wanted):
+        raise ModuleNotFoundError(name=wanted)
+
+    monkeypatch.setattr(requirements, "import_module", missing)
+    with pytest.raises(ImportError, match=rf"{package}.*pip install 'deep-curiosity\[{name}\]'"):
+        make_engine(EngineArgs(engine=name), tmp_path)
+
+
+def test_processes_of_this_machine_are_the_default(tmp_path):
+    with make_engine(EngineArgs(workers=3), tmp_path) as engine:
+        assert isinstance(engine, LocalEngine) and engine.workers == 3
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"address": "auto"}, "`address` must be left out without the engine ray, got auto"),
+        ({"engine_options": ("a=1",)}, "`engine_options` must be left out for .*local, got a"),
+    ],
+    ids=str,
+)
+def test_what_would_do_nothing_is_refused(options, message, tmp_path):
+    with pytest.raises(ValueError, match=message):
+        make_engine(EngineArgs(**options), tmp_path)

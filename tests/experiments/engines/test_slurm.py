@@ -1,0 +1,51 @@
+"""Slurm's part is played by submitit's own executor of processes of this machine."""
+
+import gc
+import time
+
+import pytest
+
+from deep_curiosity.experiments.engines.base import Outcome, make_job
+from deep_curiosity.experiments.execution import Ended, Execution
+from tests.experiments.engines import functions
+
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::ResourceWarning"),
+    pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
+]
+
+
+@pytest.fixture
+def engine(tmp_path, monkeypatch):
+    pytest.importorskip("submitit")
+    from deep_curiosity.experiments.engines import slurm
+
+    monkeypatch.setattr(slurm, "POLLING_SECONDS", 0.1)
+    with slurm.SlurmEngine(tmp_path / "slurm", cluster="local") as engine:
+        yield engine
+    del engine
+    gc.collect()  # so that warnings about the processes of submitit fall into these tests
+
+
+def test_an_array_of_jobs_is_done_and_a_lost_one_again(engine, tmp_path):
+    jobs = [make_job(functions.fail, "no"), make_job(functions.die_once, tmp_path)]
+    assert engine.capacity(jobs[0]) is None
+    ended = [each for each in Execution(engine, jobs, lambda number: 0) if each is not None]
+    assert sorted(ended) == [Ended(0, Outcome(error="ArithmeticError: no")), Ended(1, Outcome(2))]
+
+
+def test_what_is_preempted_is_submitted_again_as_it_was(engine):
+    from deep_curiosity.experiments.engines.slurm import Requeued
+
+    job = make_job(functions.square, 3)
+    again = Requeued().checkpoint(job)
+    assert again.function(*again.args) == Outcome(9)
+
+
+def test_jobs_are_cancelled_where_the_engine_is_left(engine, tmp_path):
+    engine.submit([make_job(functions.wait_until_told, tmp_path)])
+    while not (tmp_path / "begun").exists():
+        time.sleep(0.05)
+    engine.close()
+    while not (tmp_path / "saved").exists():
+        time.sleep(0.05)

@@ -1,0 +1,174 @@
+"""Trials are computed in this process, by a stand-in for training whose returns are a formula."""
+
+import csv
+import json
+import math
+from concurrent.futures import ThreadPoolExecutor
+
+import pytest
+
+optuna = pytest.importorskip("optuna")
+
+from optuna.distributions import CategoricalDistribution, FloatDistribution  # noqa: E402
+
+from deep_curiosity.experiments import tuner  # noqa: E402
+from deep_curiosity.experiments.engines.local import ExecutorEngine  # noqa: E402
+from deep_curiosity.experiments.runs import RunStoppedError  # noqa: E402
+from deep_curiosity.experiments.search import Search  # noqa: E402
+from deep_curiosity.experiments.study import Task  # noqa: E402
+from deep_curiosity.training.command_line import parse  # noqa: E402
+
+pytestmark = pytest.mark.filterwarnings("ignore::optuna.exceptions.ExperimentalWarning")
+
+
+@pytest.fixture
+def search(tiny):
+    config = tiny.override(total_steps=60, evaluation_interval=20, learning_starts=10)
+    space = {
+        "learning_rate": FloatDistribution(1e-4, 1e-1, log=True),
+        "batch_size": CategoricalDistribution((16, 32)),
+    }
+    tasks = [Task("easy", config), Task("hard", config.override(discount=0.9))]
+    return Search(tasks, space, {"easy": (0.0, 10.0), "hard": (0.0, 1.0)}, seeds=2)
+
+
+@pytest.fixture
+def calls(monkeypatch):
+    """Runs that were begun; their return falls with the distance of log rate from -2."""
+    calls = []
+
+    def run_once(config, on_evaluation):
+        calls.append(config)
+        config.run.out.mkdir(parents=True, exist_ok=True)
+        best = {"easy": 10.0, "hard": 1.0}[config.run.out.parent.name]
+        rate = config.agent.learning_rate
+        for step in (20, 40, 60):
+            value = best * (1 - abs(math.log10(rate) + 2)) * step / 60 + config.run.seed * 1e-6
+            if on_evaluation(step, {"eval/return": value}):
+                raise RunStoppedError("stopped")
+
+    monkeypatch.setattr(tuner, "run_once", run_once)
+    return calls
+
+
+class CtrlC(ExecutorEngine):
+    """Has its user press Ctrl-C once so many jobs were given to it."""
+
+    def __init__(self, executor, after):
+        super().__init__(executor)
+        self.left = after
+
+    def capacity(self, job):
+        return 1
+
+    def submit(self, jobs):
+        self.left -= len(jobs)
+        if self.left < 0:
+            raise KeyboardInterrupt
+        return super().submit(jobs)
+
+
+@pytest.fixture
+def search_in(search):
+    def run(folder, trials=8, after=math.inf, **options):
+        with ThreadPoolExecutor(1) as executor:
+            return tuner.tune(
+                search,
+                trials=trials,
+                runs=folder / "runs",
+                out=folder / "out" / "best",
+                engine=CtrlC(executor, after),
+                **options,
+            )
+
+    return run
+
+
+def told(study):
+    return [
+        (trial.number, trial.state.name, trial.params, trial.value, trial.intermediate_values)
+        for trial in study.trials
+    ]
+
+
+def test_the_present_settings_come_first_and_better_ones_are_found(search_in, calls, tmp_path):
+    study = search_in(tmp_path, trials=12)
+    assert study.trials[0].params == {"learning_rate": 0.001, "batch_size": 32}
+    assert study.best_value > study.trials[0].value == pytest.approx(0.0, abs=1e-2)
+    best = json.loads((tmp_path / "out" / "best.json").read_text())
+    assert best == study.best_params
+    command = parse(["--settings", str(tmp_path / "out" / "best.json")], description="")
+    assert command.config.agent.learning_rate == best["learning_rate"]
+    with (tmp_path / "out" / "best.csv").open() as file:
+        assert len([*csv.DictReader(file)]) == 12
+    assert (tmp_path / "out" / "best.png").exists()
+
+
+def test_a_trial_is_tasks_by_seeds_and_its_score_the_interquartile_mean(
+    search_in, calls, tmp_path
+):
+    study = search_in(tmp_path, trials=1)
+    assert len({config.run.out for config in calls}) == 4
+    assert {config.run.seed for config in calls} == {1_000, 1_001}
+    # at the rate 1e-3 returns are seed / 10^6; two runs are scaled by 10, and the middle two left
+    assert study.trials[0].value == pytest.approx(((1_001e-6 / 10) + 1_000e-6) / 2)
+
+
+@pytest.mark.parametrize("at_once", [1, 2])
+def test_a_search_that_is_cut_off_twice_ends_with_the_same_trials(
+    search_in, calls, tmp_path, at_once
+):
+    whole = search_in(tmp_path / "whole", at_once=at_once)
+    for after in (6, 11):
+        with pytest.raises(KeyboardInterrupt):
+            search_in(tmp_path / "cut", after=after, at_once=at_once)
+    cut = search_in(tmp_path / "cut", at_once=at_once)
+    assert told(cut) == told(whole)
+    assert "PRUNED" in {state for _, state, *_ in told(whole)}
+    assert search_in(tmp_path / "cut").best_value == whole.best_value  # nothing is left to do
+
+
+def test_a_poor_trial_is_stopped_and_none_where_none_may_be(search_in, calls, tmp_path):
+    pruned = search_in(tmp_path / "pruned", trials=10)
+    states = [trial.state.name for trial in pruned.trials]
+    assert "PRUNED" in states[5:] and "PRUNED" not in states[:5]
+    every = search_in(tmp_path / "every", trials=10, pruner="none")
+    assert {trial.state.name for trial in every.trials} == {"COMPLETE"}
+
+
+def test_a_trial_with_a_run_that_raises_has_failed_and_the_search_goes_on(
+    search_in, calls, tmp_path, monkeypatch, capsys
+):
+    run_once = tuner.run_once
+
+    def fail(config, on_evaluation):
+        if config.agent.learning_rate == 0.001:
+            raise ArithmeticError("too poor")
+        return run_once(config, on_evaluation)
+
+    monkeypatch.setattr(tuner, "run_once", fail)
+    study = search_in(tmp_path, trials=3)
+    assert [trial.state.name for trial in study.trials] == ["FAIL", "COMPLETE", "COMPLETE"]
+    assert "ArithmeticError: too poor" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"space": {}}, "`space` and `tasks` must have an entry each, got 0 and 2"),
+        ({"ranges": {"easy": (0.0, 1.0)}}, "`ranges` must give two rising returns for hard"),
+        ({"space": {"novelty": None}}, "`space` must hold settings of easy, got novelty"),
+    ],
+    ids=str,
+)
+def test_a_search_that_cannot_be_is_refused(search, change, message):
+    from dataclasses import replace
+
+    with pytest.raises((TypeError, ValueError), match=message):
+        replace(search, **change)
+
+
+def test_numbers_of_trials_are_checked(search_in, tmp_path):
+    for name in ("trials", "at_once"):
+        with pytest.raises(ValueError, match=f"`{name}` must be at least 1, got 0"):
+            search_in(tmp_path, **{name: 0})

@@ -1,0 +1,76 @@
+import json
+import math
+
+import pytest
+
+from deep_curiosity.training import continue_run, train
+from deep_curiosity.training.callbacks import in_turn, stop_when_solved
+from deep_curiosity.training.log import read_progress
+
+
+def test_evaluations_and_rows_are_told_as_they_are_recorded(tiny):
+    evaluations, rows = [], []
+    train(
+        tiny,
+        on_evaluation=lambda step, values: evaluations.append((step, dict(values))),
+        on_log=lambda step, values: rows.append((step, dict(values))),
+        show_progress=False,
+    )
+    assert [step for step, _ in evaluations] == [40, 60]
+    recorded = read_progress(tiny.run.out)
+    assert evaluations[-1][1]["eval/return"] == float(recorded[-1]["eval/return"])
+    assert [step for step, _ in rows] == [int(row["step"]) for row in recorded]
+    assert rows[-1][1].keys() == recorded[-1].keys() - {"step"}
+    assert rows[-1][1]["agent/critic_loss"] == float(recorded[-1]["agent/critic_loss"])
+
+
+@pytest.mark.parametrize(("told", "stopped_at"), [("on_evaluation", 40), ("on_log", 20)])
+def test_a_callback_stops_a_run_that_can_be_continued(tiny, told, stopped_at):
+    tiny = tiny.override(learning_starts=10)
+    stopped = train(tiny, show_progress=False, **{told: lambda step, values: True})
+    assert stopped["total_steps"] == stopped_at
+    steps = []
+    continued = continue_run(
+        tiny.run.out, on_log=lambda step, values: steps.append(step), show_progress=False
+    )
+    assert continued["total_steps"] == 60
+    assert steps == [step for step in (20, 40, 60) if step > stopped_at]
+
+
+def test_a_callback_that_asks_for_nothing_changes_nothing(tiny, tmp_path):
+    other = tiny.override(out=tmp_path / "told")
+    plain = train(tiny, show_progress=False)
+    told = train(other, on_log=lambda *_: None, on_evaluation=lambda *_: 0, show_progress=False)
+    timed = {"wall_seconds", "steps_per_second", "peak_memory_megabytes"}
+    assert {k: v for k, v in plain.items() if k not in timed} == {
+        k: v for k, v in told.items() if k not in timed
+    }
+
+
+@pytest.mark.parametrize(("wanted", "steps"), [(-1e9, 40), (1e9, 60)])
+def test_a_solved_run_stops_at_the_evaluation_that_says_so(tiny, wanted, steps):
+    train(tiny, on_evaluation=stop_when_solved(wanted), show_progress=False)
+    assert json.loads((tiny.run.out / "summary.json").read_text())["total_steps"] == steps
+
+
+def test_a_return_counts_as_solved_from_the_number_itself_and_never_unknown():
+    solved = stop_when_solved(2.0)
+    values = (1.9, 2.0, 2.1, math.nan)
+    assert [solved(0, {"eval/return": value}) for value in values] == [False, True, True, False]
+    with pytest.raises(ValueError, match="`stop_when_solved` must be a number, got nan"):
+        stop_when_solved(math.nan)
+
+
+def test_all_callbacks_in_turn_are_told_and_any_of_them_stops():
+    told = []
+
+    def note(answer):
+        def noted(step, values):
+            told.append((step, answer))
+            return answer
+
+        return noted
+
+    assert in_turn(note(True), None, note(False))(7, {})
+    assert not in_turn(note(None), note(False))(8, {})
+    assert told == [(7, True), (7, False), (8, None), (8, False)]
