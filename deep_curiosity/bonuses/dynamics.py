@@ -21,6 +21,7 @@ Features = Callable[[Tensor], Tensor]
 """What of observations `(batch, observation_dim)` is to be predicted, `(batch, features)`."""
 
 LOG_VAR_RANGE = (-9.0, 2.0)  # of the whitened change: sharper is float noise, wider is ignorance
+MOST_CHANGE = 10.0  # of a whitened change that is predicted: its logarithm, where units saturate
 HELD_OUT_SHARE = 20  # one transition in twenty is never trained on
 HELD_OUT_DECAY = 0.98  # of the held-out averages, for each batch
 NUM_NODES = 32  # of the quadrature over a prediction in units that saturate
@@ -133,9 +134,10 @@ class DynamicsEnsemble(nn.Module):
         """
         change = self._whitened_change(observation, action)
         moments = self.feature_moments or self.observation_moments
-        shift = self._featured(observation) + self.change_moments.center
-        state = shift.unsqueeze(-2) + self.change_moments.scale * change.loc
+        step = self.change_moments.denormalize(change.loc.clamp(-MOST_CHANGE, MOST_CHANGE))
+        state = self._featured(observation).unsqueeze(-2) + step
         log_ratio = (self.change_moments.scale / moments.scale).log() + moments.log_slope(state)
+        log_ratio = log_ratio - self.change_moments.log_slope(step)
         log_floor = torch.full_like(change.log_var, 2 * math.log(self.noise_floor))
         log_var = torch.logaddexp(change.log_var + 2 * log_ratio, log_floor)
         return DiagonalMixture(moments.normalize(state), log_var, change.log_weight)

@@ -567,3 +567,28 @@ def test_samples_of_a_change_have_the_weights_of_members_and_components():
     torch.testing.assert_close(
         moved - samples, torch.full_like(samples, math.exp(-10.0)), rtol=0, atol=1e-5
     )
+
+
+@pytest.mark.parametrize("whitening", ["moments", "robust", "saturating"])
+def test_what_is_predicted_is_where_the_state_goes(whitening):
+    """Also where a change is far from the usual, and its spread with it."""
+    torch.manual_seed(0)
+    dynamics = ensemble_of(1, 1, num_members=2, whitening=whitening)
+    action = 2 * torch.rand(4_000, 1) - 1
+    observation = torch.randn(4_000, 1)
+    dynamics.observe(transition(observation, action, observation + 6 * action**3))
+    at, push = torch.tensor([[0.0], [1.0]]), torch.ones(2, 1)
+    change = dynamics.change_moments.normalize(6 * push)  # as a model that has learned it says it
+    bias = dynamics.network.layers[-1].bias.data
+    dynamics.network.layers[-1].weight.data.zero_()
+    bias[..., 0], bias[..., 1] = change[0, 0], -4.0
+    predicted = dynamics(at, push)
+    expected = dynamics.observation_moments.normalize(at + 6 * push)
+    torch.testing.assert_close(predicted.loc.squeeze(-2), expected.expand(2, -1, -1))
+    step = 1e-3  # by how much the whitened next state moves with the whitened change
+    bias[..., 0] += step
+    slope = (dynamics(at, push).loc - predicted.loc) / step
+    floor = dynamics.noise_floor**2
+    spread = (predicted.log_var.exp() - floor).clamp(min=0).sqrt()
+    std = (0.5 * dynamics._whitened_change(at, push).log_var).exp()
+    torch.testing.assert_close(spread, std * slope, rtol=0.02, atol=1e-4)
