@@ -202,7 +202,8 @@ class ReplayBuffer:
         if num_steps == 1:
             alive = torch.ones(1, batch_size, dtype=torch.bool, device=start.device)
             return self._rows.index_select(0, start), alive, start
-        age = start + self.num_envs * self._arange(num_steps).unsqueeze(-1)  # from the oldest
+        step = torch.arange(num_steps, device=start.device).unsqueeze(-1)
+        age = start + self.num_envs * step  # from the oldest
         known = age < size
         slot = self._num_added - size + age.clamp(max=size - 1)
         slot = (slot % self.capacity).flatten()
@@ -402,7 +403,7 @@ class ReplayBuffer:
 
     def _check_sample(self, **counts: int) -> None:
         check_counts(**counts)
-        if len(self) == 0:
+        if self._num_added == 0:
             raise ValueError("the replay must hold a transition before it is sampled, got 0.")
 
     def _arange(self, *bounds: int) -> Int[Tensor, " numbers"]:

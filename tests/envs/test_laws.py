@@ -241,7 +241,7 @@ def test_render_without_opengl_says_what_to_set(task_id, monkeypatch):
     env = make(task_id, render_mode="rgb_array")
     env.reset(seed=0)
     env.step(env.action_space.high)
-    with pytest.raises(RuntimeError, match="MUJOCO_GL=egl"):
+    with pytest.raises(RuntimeError, match="`MUJOCO_GL` must be set to egl"):
         env.render()
     env.close()
 

@@ -644,7 +644,7 @@ def test_what_cannot_work_is_refused_at_the_door(make: Callable[[], Any], messag
 def test_an_unknown_setting_of_the_bonus_is_answered_with_those_there_are() -> None:
     for name in ("members_per_row", "hidden_dim", "weight"):
         with pytest.raises(
-            TypeError, match=f"`{name}` is no setting here; .*members.*hidden_dims"
+            TypeError, match=f"`{name}` is no setting here[;,] .*members.*hidden_dims"
         ):
             make_agent(options={"bonus_kwargs": {name: 2}})
 

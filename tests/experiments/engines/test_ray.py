@@ -11,6 +11,7 @@ from deep_curiosity.experiments.execution import Ended, Execution
 from tests.experiments.engines import functions
 
 pytestmark = [
+    pytest.mark.slow,
     pytest.mark.filterwarnings("ignore::ResourceWarning"),
     pytest.mark.filterwarnings("ignore::FutureWarning:ray"),
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
