@@ -47,5 +47,7 @@ def test_features_of_curiosity_may_be_entries_or_a_function():
 
 
 def test_features_of_other_bonuses_are_no_setting():
-    with pytest.raises(TypeError, match="`features` is no setting here, .*; there are bonus_weight"):
+    with pytest.raises(
+        TypeError, match=r"`features` is no setting here, .*; there are bonus_weight"
+    ):
         make_bonus("rnd", 3, 2, features=lambda observation: observation[:, :2])

@@ -336,9 +336,9 @@ def test_only_the_recomputed_states_change():
 
 def test_annealing_needs_a_temperature():
     with pytest.raises(ValueError, match="at least one temperature, got none"):
-        anneal(lambda log_policy, temperature: None, np.zeros((2, 2)), [])
+        anneal(lambda log_policy, temperature: None, np.log(np.full((2, 2), 0.5)), [])
 
 
 def test_policy_that_does_not_sum_to_one_is_rejected():
-    with pytest.raises(ValueError, match="`policy` must sum to 1"):
+    with pytest.raises(ValueError, match="`log_policy` must sum to 1"):
         solve_stationary(reliable_unreliable(), np.zeros((2, 2)), temperature=0.1)
