@@ -207,7 +207,7 @@ REFUSED = [
     ("train", ["--bonus", "none", "--curiosity-ends", 900], "`curiosity_ends` must be left out"),
     ("train", ["--curiosity-ends=-5"], "`curiosity_ends` must be at least 1"),
     ("train", ["--curiosity-ends", 500], "`curiosity_ends` must be above `learning_starts`"),
-    ("train", ["--curiosity-discount", 0, "--curiosity-estimate", "min"], "`curiosity_estimate`"),
+    ("train", ["--curiosity-discount", 0, "--curiosity-steps", 2], "`curiosity_steps`"),
     ("train", ["--compile", "off", "--no-deduplicate"], "`deduplicate` must be left out"),
     ("train", ["--compile", "off", "--no-direct-matmul"], "`direct_matmul` must be left out"),
     ("train", ["--num-envs", 2, "--no-numpy-policy"], "`numpy_policy` must be left out"),

@@ -68,9 +68,9 @@ def test_without_any_extra_every_module_is_there_or_says_what_to_install():
         assert "pip install 'deep-curiosity[" in messages[name], (name, messages[name])
     needless = {name for name in asking if name.split(".")[1:2] in (["bonuses"], ["agent"])}
     assert not needless
-    assert {"deep_curiosity_envs", "deep_curiosity.training"} <= asking
+    assert {"deep_curiosity_envs", "deep_curiosity.training.loop"} <= asking
     assert "[envs]" in messages["deep_curiosity_envs"]
-    assert "[train]" in messages["deep_curiosity.training"]
+    assert "[train]" in messages["deep_curiosity.training.loop"]
 
 
 def test_the_extra_for_training_is_all_that_training_and_the_command_line_need():
@@ -82,8 +82,8 @@ def test_the_extra_for_training_is_all_that_training_and_the_command_line_need()
         assert own
         foreign = {
             f"deep_curiosity.experiments.studies.{name}"
-            for name in ("stable_baselines3", "torchrl")
-        }
+            for name in ("stable_baselines3", "torchrl", "searches")
+        } | {"deep_curiosity.experiments.tuner"}
         assert not any(own[name] for name in own.keys() - foreign), own
 
 

@@ -3,6 +3,11 @@
 Reference: Akiba et al., "Optuna: A Next-generation Hyperparameter Optimization Framework" (2019),
 https://arxiv.org/abs/1907.10902.
 """
+# ruff: noqa: E402  # what is missing is reported before anything needs it
+
+from deep_curiosity.requirements import require
+
+require("optuna", extra="tune")
 
 import json
 import math

@@ -1,4 +1,9 @@
 """Environments that raise: what is said of it, and how they are left."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
+
+from deep_curiosity.requirements import require_training
+
+require_training()
 
 import traceback
 import warnings

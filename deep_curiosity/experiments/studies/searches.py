@@ -1,4 +1,9 @@
 """Searches for settings, made by `scripts/tune.py NAME`."""
+# ruff: noqa: E402  # what is missing is reported before anything needs it
+
+from deep_curiosity.requirements import require
+
+require("optuna", extra="tune")
 
 from optuna.distributions import CategoricalDistribution, FloatDistribution
 

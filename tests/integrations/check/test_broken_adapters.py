@@ -114,9 +114,15 @@ BROKEN = {
     "added after advantages": (lambda: ppo(AfterAdvantages), "targets"),
     "stale": (lambda: sac(Stale), "fresh"),
     "stored twice": (lambda: sac(StoringTwice), "raw"),
-    "not a number": (lambda: sac(bonus=ConstantBonus(float("nan"))), "finite"),
+    "not a number": (lambda: sac(bonus=_without_a_number()), "finite"),
     "constant": (lambda: sac(bonus=ConstantBonus(1.0)), "not constant"),
 }
+
+
+def _without_a_number():
+    bonus = ConstantBonus(1.0)
+    bonus.value.fill_(float("nan"))
+    return bonus
 
 
 @pytest.mark.parametrize("mistake", BROKEN)
