@@ -9,6 +9,8 @@ import pytest
 
 from deep_curiosity.cli import COMMANDS, main
 
+pytestmark = pytest.mark.slow
+
 DOCS = Path(__file__).parents[2] / "docs"
 PAGES = [
     DOCS / "index.md",

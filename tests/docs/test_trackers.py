@@ -10,6 +10,8 @@ import pytest
 from deep_curiosity.training.log import read_progress
 from tests.docs.pages import run_blocks
 
+pytestmark = pytest.mark.slow
+
 PAGE = Path(__file__).parents[2] / "docs/integrations/trackers.md"
 
 

@@ -4,6 +4,8 @@ import pytest
 
 from tests.docs.pages import run_blocks
 
+pytestmark = pytest.mark.slow
+
 PAGE = Path(__file__).parents[2] / "docs/use.md"
 
 

@@ -42,6 +42,7 @@ def test_so_are_those_that_are_killed_a_thousand_times():
     assert_unharmed(kills=1_000, seed=1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fault", ["rows", "weights"])
 def test_torture_finds_a_lost_row_and_another_end(tmp_path, monkeypatch, fault):
     monkeypatch.setattr(module, "VARIANTS", VARIANTS[:1])

@@ -18,7 +18,10 @@ from deep_curiosity.experiments.search import Search  # noqa: E402
 from deep_curiosity.experiments.study import Task  # noqa: E402
 from deep_curiosity.training.command_line import parse  # noqa: E402
 
-pytestmark = pytest.mark.filterwarnings("ignore::optuna.exceptions.ExperimentalWarning")
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.filterwarnings("ignore::optuna.exceptions.ExperimentalWarning"),
+]
 
 
 @pytest.fixture

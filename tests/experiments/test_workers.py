@@ -9,6 +9,8 @@ import pytest
 
 from deep_curiosity.training.checkpoint import load_checkpoint
 
+pytestmark = pytest.mark.slow
+
 STUDY = """
 import sys
 from pathlib import Path

@@ -57,7 +57,7 @@ def test_without_arguments_it_is_the_default():
 
 def test_help_shows_what_a_user_turns_and_help_all_the_rest(capsys):
     common = flags(capsys, "--help")
-    assert 20 <= len(common) <= 32
+    assert 20 <= len(common) <= 34
     assert common == dashed(COMMON) | OF_THE_COMMAND_LINE
     assert flags(capsys, "-h") == common
     everything = flags(capsys, "--help-all")

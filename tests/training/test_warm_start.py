@@ -111,7 +111,7 @@ def test_a_run_goes_on_without_the_one_it_began_with(tiny, begun, tmp_path):
         ({"prior": "learned"}, r"where prior\.loc has shape None.*prior \('uniform' there"),
         (
             {"env_id": "CartpoleSwingup"},
-            r"where critics\.network\.layers\.0\.weight has shape \(4, 4, 16\), here \(4, 6, 16\)",
+            r"where critics\.network\.layers\.0\.weight has shape \(3, 4, 16\), here \(3, 6, 16\)",
         ),
         ({"num_envs": 2, "init_replay": True}, "`num_envs` must be 1, that of the run in .* 2"),
         ({"num_members": 3}, r"Settings that differ: num_members \(2 there, 3 here\)"),

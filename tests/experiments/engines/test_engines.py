@@ -1,17 +1,14 @@
 import pytest
 
 from deep_curiosity.experiments.engines import EngineArgs, LocalEngine, make_engine
-from deep_curiosity.integrations import requirements
+from deep_curiosity import requirements
 
 
 @pytest.mark.parametrize(("name", "package"), [("ray", "ray"), ("slurm", "submitit")])
 def test_an_engine_whose_package_is_missing_names_the_command(
     name, package, monkeypatch, tmp_path
 ):
-    def missing(wanted):
-        raise ModuleNotFoundError(name=wanted)
-
-    monkeypatch.setattr(requirements, "import_module", missing)
+    monkeypatch.setattr(requirements, "find_spec", lambda wanted: None)
     with pytest.raises(ImportError, match=rf"{package}.*pip install 'deep-curiosity\[{name}\]'"):
         make_engine(EngineArgs(engine=name), tmp_path)
 
