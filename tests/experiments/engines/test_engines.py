@@ -1,7 +1,7 @@
 import pytest
 
-from deep_curiosity.experiments.engines import EngineArgs, LocalEngine, make_engine
 from deep_curiosity import requirements
+from deep_curiosity.experiments.engines import EngineArgs, LocalEngine, make_engine
 
 
 @pytest.mark.parametrize(("name", "package"), [("ray", "ray"), ("slurm", "submitit")])
