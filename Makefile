@@ -22,7 +22,8 @@ train: setup  ## train the curious agent on PendulumSwingup with action cost, un
 		--total-steps 16000 --hidden-dim 64 --out $(OUT)
 
 test: setup  ## the default tests, under 5 minutes
-	$(BIN)/python -m pytest -n auto
+	$(BIN)/python -m pytest -n auto --ignore tests/training
+	$(BIN)/python -m pytest -n auto tests/training  # apart: it forks environments
 
 slow: setup  ## the learning tests, tens of minutes
 	$(BIN)/python -m pytest -m slow
