@@ -8,6 +8,7 @@ import time
 import pytest
 
 from deep_curiosity.training.checkpoint import load_checkpoint
+from tests.experiments.waiting import PATIENCE, wait_until
 
 pytestmark = pytest.mark.slow
 
@@ -28,14 +29,6 @@ if __name__ == "__main__":
     study = Study([Task("endless", config)], {"none": {"bonus": "none"}}, seeds=2)
     run_study(study, runs=folder / "runs", out=folder / "out", workers=2)
 """
-PATIENCE = 120.0
-
-
-def wait_until(condition):
-    ends = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < ends, "it took too long"
-        time.sleep(0.05)
 
 
 def is_alive(process):

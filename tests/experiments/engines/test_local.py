@@ -1,4 +1,3 @@
-import time
 from concurrent.futures import BrokenExecutor, ThreadPoolExecutor
 
 import pytest
@@ -6,6 +5,7 @@ import pytest
 from deep_curiosity.experiments.engines.base import Outcome, make_job
 from deep_curiosity.experiments.engines.local import ExecutorEngine, LocalEngine
 from tests.experiments.engines import functions
+from tests.experiments.waiting import wait_until
 
 
 def test_jobs_are_done_in_processes_that_stay():
@@ -36,8 +36,7 @@ def test_what_raises_is_told_in_words_and_a_death_concerns_one_job_alone(tmp_pat
 def test_what_runs_is_told_to_stop_and_what_waits_is_forgotten(tmp_path):
     with LocalEngine(1) as engine:
         running, waiting = engine.submit([make_job(functions.wait_until_told, tmp_path)] * 2)
-        while not (tmp_path / "begun").exists():
-            time.sleep(0.05)
+        wait_until((tmp_path / "begun").exists)
     assert running.result().result == "saved"
     assert waiting.cancelled()
 

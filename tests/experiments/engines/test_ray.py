@@ -1,5 +1,4 @@
 import sys
-import time
 from concurrent.futures import Future
 from types import SimpleNamespace
 
@@ -9,6 +8,7 @@ from deep_curiosity.experiments.engines.base import Outcome, make_job
 from deep_curiosity.experiments.engines.ray import RayEngine
 from deep_curiosity.experiments.execution import Ended, Execution
 from tests.experiments.engines import functions
+from tests.experiments.waiting import wait_until
 
 pytestmark = [
     pytest.mark.slow,
@@ -40,8 +40,7 @@ def test_a_job_whose_worker_dies_is_done_by_another(ray_engine, tmp_path):
 def test_what_runs_is_told_to_stop(ray_engine, tmp_path, monkeypatch):
     monkeypatch.setattr(ray_engine, "_owned", False)  # it goes on for other tests
     ray_engine.submit([make_job(functions.wait_until_told, tmp_path)])
-    while not (tmp_path / "begun").exists():
-        time.sleep(0.05)
+    wait_until((tmp_path / "begun").exists)
     ray_engine.close()
     assert (tmp_path / "saved").exists()
 

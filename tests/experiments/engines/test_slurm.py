@@ -1,13 +1,13 @@
 """Slurm's part is played by submitit's own executor of processes of this machine."""
 
 import gc
-import time
 
 import pytest
 
 from deep_curiosity.experiments.engines.base import Outcome, make_job
 from deep_curiosity.experiments.execution import Ended, Execution
 from tests.experiments.engines import functions
+from tests.experiments.waiting import wait_until
 
 pytestmark = [
     pytest.mark.slow,
@@ -45,8 +45,6 @@ def test_what_is_preempted_is_submitted_again_as_it_was(engine):
 
 def test_jobs_are_cancelled_where_the_engine_is_left(engine, tmp_path):
     engine.submit([make_job(functions.wait_until_told, tmp_path)])
-    while not (tmp_path / "begun").exists():
-        time.sleep(0.05)
+    wait_until((tmp_path / "begun").exists)
     engine.close()
-    while not (tmp_path / "saved").exists():
-        time.sleep(0.05)
+    wait_until((tmp_path / "saved").exists)
