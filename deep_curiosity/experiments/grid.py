@@ -20,15 +20,13 @@ from deep_curiosity.experiments.study import Cell, Result, Row, Study
 from deep_curiosity.experiments.tables import markdown_table, select, summarize, write_table
 from deep_curiosity.training.interruption import terminated_like_interrupted
 
-SUFFIXES = (".csv", ".md", ".png")
-"""Of the files of a study: tables, summary, figure."""
 CHOSEN = ("out", "seed")
 """Settings that a study chooses for each of its runs."""
 WRITING_SECONDS = 10.0  # from one writing of the tables to the next, while results come
 MANY_TO_COMPARE = 12  # agents: a table of all pairs would be longer than anyone reads
 
 ENDINGS = (".csv", "_curves.csv", ".md", ".png")
-"""Of the files that a study writes."""
+"""Of the files that a study writes: tables, summary, figure."""
 
 
 def overridden(study: Study, values: dict[str, Any]) -> Study:
