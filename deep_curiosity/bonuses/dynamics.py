@@ -21,7 +21,6 @@ Features = Callable[[Tensor], Tensor]
 """What of observations `(batch, observation_dim)` is to be predicted, `(batch, features)`."""
 
 LOG_VAR_RANGE = (-9.0, 2.0)  # of the whitened change: sharper is float noise, wider is ignorance
-MOST_CHANGE = 10.0  # of a whitened change that is predicted: its logarithm, where units saturate
 HELD_OUT_SHARE = 20  # one transition in twenty is never trained on
 HELD_OUT_DECAY = 0.98  # of the held-out averages, for each batch
 NUM_NODES = 32  # of the quadrature over a prediction in units that saturate
@@ -134,7 +133,7 @@ class DynamicsEnsemble(nn.Module):
         """
         change = self._whitened_change(observation, action)
         moments = self.feature_moments or self.observation_moments
-        step = self.change_moments.denormalize(change.loc.clamp(-MOST_CHANGE, MOST_CHANGE))
+        step = self.change_moments.denormalize(change.loc)
         state = self._featured(observation).unsqueeze(-2) + step
         log_ratio = (self.change_moments.scale / moments.scale).log() + moments.log_slope(state)
         log_ratio = log_ratio - self.change_moments.log_slope(step)

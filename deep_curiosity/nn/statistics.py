@@ -187,8 +187,9 @@ class SaturatingMoments(RobustMoments):
         return torch.asinh((value - self.center) / self.scale)
 
     def denormalize(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch dim"]:
-        """What `normalize` makes this value of."""
-        return self.center + self.scale * torch.sinh(value)
+        """What `normalize` makes this value of, up to ten thousand scales from the centre."""
+        bounded = value.clamp(-WHITENED_BOUND, WHITENED_BOUND)  # float32 holds no sinh of 90
+        return self.center + self.scale * torch.sinh(bounded)
 
     def log_slope(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch dim"]:
         """Log of the slope of `normalize` there, in units of `1 / scale`: at most 0."""
