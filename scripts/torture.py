@@ -9,7 +9,7 @@ from pathlib import Path
 import tyro
 
 from deep_curiosity.experiments.tables import write_table
-from deep_curiosity.experiments.torture import told, torture
+from deep_curiosity.experiments.torture import as_lines, torture
 from deep_curiosity.training.source import source_commit
 
 
@@ -36,7 +36,7 @@ def main(args: Args) -> int:
         tallies = torture(
             Path(scratch) / "runs", kills=args.kills, seed=args.seed, seconds=args.seconds
         )
-    print(told(tallies))
+    print(as_lines(tallies))
     if args.out is not None:
         rows = [{"variant": name} | vars(tally) | origin for name, tally in tallies.items()]
         write_table(args.out, rows)

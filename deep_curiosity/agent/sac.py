@@ -17,7 +17,7 @@ from deep_curiosity.agent.config import (
     ConditionedHunger,
 )
 from deep_curiosity.agent.networks import PRIORS, Critics, GaussianPolicy, for_each_critic
-from deep_curiosity.configuration import override
+from deep_curiosity.configuration import check_range, override
 from deep_curiosity.losses import (
     actor_loss,
     critic_loss,
@@ -217,7 +217,7 @@ class CuriousSAC(nn.Module):
 
     @hunger.setter
     def hunger(self, value: float) -> None:
-        check_positive("hunger", value, or_zero=True, at_most=MOST_HUNGER)
+        _check_number("hunger", value, at_least=0.0, at_most=MOST_HUNGER)
         if self.is_conditioned and value > 1:
             raise ValueError(f"`hunger` must lie in [0, 1] where conditioned, got {value}.")
         self._hunger.fill_(value)
@@ -232,7 +232,7 @@ class CuriousSAC(nn.Module):
 
     @curiosity_coefficient.setter
     def curiosity_coefficient(self, value: float) -> None:
-        check_positive("curiosity_coefficient", value, or_zero=True, at_most=MOST_HUNGER)
+        _check_number("curiosity_coefficient", value, at_least=0.0, at_most=MOST_HUNGER)
         self._fixed_coefficient.fill_(value)
 
     @property
@@ -245,9 +245,8 @@ class CuriousSAC(nn.Module):
 
     @temperature.setter
     def temperature(self, value: float) -> None:
-        check_positive("temperature", value, at_most=TEMPERATURES[1])
-        if value < TEMPERATURES[0]:
-            raise ValueError(f"`temperature` must be at least {TEMPERATURES[0]}, got {value}.")
+        least, most = TEMPERATURES
+        _check_number("temperature", value, above=0.0, at_least=least, at_most=most)
         with torch.no_grad():
             self.log_temperature.fill_(math.log(value))
 
@@ -626,15 +625,11 @@ class CuriousSAC(nn.Module):
         return {name: own for name, own in parameters.items() if own}
 
 
-def check_positive(
-    name: str, value: float, *, or_zero: bool = False, at_most: float = math.inf
-) -> None:
-    """Reject numbers that are not finite and positive, or zero where that is allowed."""
-    if not (is_number(value) and (value > 0 or (or_zero and value == 0))):
-        rule = "not negative" if or_zero else "positive"
-        raise ValueError(f"`{name}` must be finite and {rule}, got {value}.")
-    if value > at_most:
-        raise ValueError(f"`{name}` must be at most {at_most}, got {value}.")
+def _check_number(name: str, value: float, **bounds: float) -> None:
+    """Reject what is no finite number, or one out of the bounds of `setting`."""
+    if not is_number(value):
+        raise ValueError(f"`{name}` must be a finite number, got {value!r}.")
+    check_range(name, float(value), bounds)
 
 
 def check_rate(rate: float, action_dim: int) -> None:

@@ -244,6 +244,6 @@ def _leaves(state: Any, path: str = "") -> Iterator[tuple[str, Any]]:
         yield from _leaves(value, f"{path}/{name}")
 
 
-def told(tallies: dict[str, Tally]) -> str:
+def as_lines(tallies: dict[str, Tally]) -> str:
     """The tallies as lines of JSON."""
     return "\n".join(json.dumps({"variant": n} | vars(t)) for n, t in tallies.items())

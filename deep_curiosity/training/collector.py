@@ -144,7 +144,7 @@ class Collector:
         self._length += 1
         self._return += reward
         if "is_success" in self.info:
-            self._success = np.fmax(self._success, _told(self.info, "is_success"))
+            self._success = np.fmax(self._success, _entry_of(self.info, "is_success"))
         observation = self.observation
         self._raw_observation, self.present_info = next_observation, self.info
         self.observation = self._cut("observation", self._usual_observation, next_observation)
@@ -304,7 +304,7 @@ def _episode_seed(seed: int, number: int) -> int:
     return int(np.random.SeedSequence((seed, number)).generate_state(1)[0])
 
 
-def _told(info: Info, name: str) -> np.ndarray:
+def _entry_of(info: Info, name: str) -> np.ndarray:
     """An entry of the infos of all environments; NaN in those that did not give it."""
     value = np.asarray(info[name], dtype=float)
     return np.where(info.get(f"_{name}", True), value, math.nan)

@@ -154,21 +154,21 @@ def _leases(folder: Path) -> list[int]:
 def _read(path: Path) -> dict[str, Any]:
     """What a lease tells; nothing where it is gone or cannot be read."""
     try:
-        told = json.loads(path.read_text())
+        holder = json.loads(path.read_text())
     except (OSError, ValueError):
         return {}
-    return told if isinstance(told, dict) else {}
+    return holder if isinstance(holder, dict) else {}
 
 
 def _is_stale(path: Path, now: float) -> bool:
     """Whether the process of a lease is gone, or has long given no sign."""
-    told = _read(path)
+    holder = _read(path)
     try:
         silent = now - path.stat().st_mtime > STALE_AFTER
     except FileNotFoundError:
         return True
-    if os.name == "posix" and told.get("machine") == _machine():
-        return _is_dead(told.get("pid", 0), told.get("process_started"))
+    if os.name == "posix" and holder.get("machine") == _machine():
+        return _is_dead(holder.get("pid", 0), holder.get("process_started"))
     return silent
 
 
@@ -184,16 +184,16 @@ def _holder() -> dict[str, Any]:
 
 
 def _description(path: Path) -> str:
-    told = _read(path)
-    if not told:
+    holder = _read(path)
+    if not holder:
         return f"whoever wrote {path}"
     with suppress(OSError):
         ago = max(0.0, time.time() - path.stat().st_mtime)
         return (
-            f"process {told.get('pid')} on {told.get('host')} since {told.get('since')} "
+            f"process {holder.get('pid')} on {holder.get('host')} since {holder.get('since')} "
             f"(last heartbeat {ago:.0f} s ago)"
         )
-    return f"process {told.get('pid')} on {told.get('host')} since {told.get('since')}"
+    return f"process {holder.get('pid')} on {holder.get('host')} since {holder.get('since')}"
 
 
 def _machine() -> str:

@@ -92,7 +92,7 @@ def train(
                     run_log.on_step(collector.info)
                     for episode in finished:
                         run_log.episodes.append(episode)
-                        run.log.scalars(run_log.step, _told(episode))
+                        run.log.scalars(run_log.step, _scalars_of(episode))
 
                     # (a, b, c, e) Renew model, p(x'), values, policy, p(a) and temperature
                     if learning:
@@ -124,7 +124,7 @@ def train(
         return summary
 
 
-def _told(episode: Episode) -> dict[str, float]:
+def _scalars_of(episode: Episode) -> dict[str, float]:
     return {"episode/return": episode.episode_return, "episode/length": episode.length}
 
 

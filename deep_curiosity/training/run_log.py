@@ -67,8 +67,8 @@ class RunLog:
     @property
     def defines_success(self) -> bool:
         """Whether the task has spoken of success, which some tasks do at a success alone."""
-        told = (episode.success for episode in (*self.episodes, *self.evaluations))
-        return not all(map(math.isnan, told))
+        reported = (episode.success for episode in (*self.episodes, *self.evaluations))
+        return not all(map(math.isnan, reported))
 
     @property
     def broken_episodes(self) -> int:

@@ -147,8 +147,8 @@ def _with_success(info: Any) -> dict[str, Any]:
     """The info, with success under one name if the task speaks of it at all."""
     if not isinstance(info, dict):
         raise ValueError(f"`info` must be a dictionary, got {info!r}.")
-    told = [info[name] for name in SUCCESS_NAMES if name in info]
-    return info | {"is_success": any(map(_is_true, told))} if told else dict(info)
+    reported = [info[name] for name in SUCCESS_NAMES if name in info]
+    return info | {"is_success": any(map(_is_true, reported))} if reported else dict(info)
 
 
 def _is_true(value: Any) -> bool:
