@@ -14,7 +14,7 @@ EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
 WHOLE_AGENTS = [path for path in EXAMPLES if path.stem.startswith("cleanrl")]
 NUM_STEPS = 500
 TINY = (
-    f"--env-id Pendulum-v1 --total-steps {NUM_STEPS} --learning-starts 300 --hidden-dims 16 16 "
+    f"--env-id Pendulum-v1 --total-steps {NUM_STEPS} --learning-starts 460 --hidden-dims 16 16 "
     "--batch-size 32 --evaluation-episodes 1"
 )
 
@@ -110,7 +110,7 @@ def test_replay_holds_what_the_environment_gave(path, play):
 
 @every_whole_agent
 def test_the_bonus_reaches_the_critic(path, play):
-    text, short = path.read_text(), "--total-steps 200 --learning-starts 50"
+    text, short = path.read_text(), "--total-steps 140 --learning-starts 50"
     indifferent = text.replace("+ bonus.compute(", "+ 0 * bonus.compute(")
     assert indifferent != text  # and samples the same random numbers
     first, again, without = (
@@ -123,7 +123,7 @@ def test_the_bonus_reaches_the_critic(path, play):
 
 @every_whole_agent
 def test_only_termination_ends_the_value(path, play, terminates):
-    options = "--env-id Repeat-v0 --learning-rate 0.01 --learning-starts 100"
+    options = "--env-id Repeat-v0 --learning-rate 0.01 --learning-starts 250"
     left = play(plain(path.read_text()), options)
     pairs = left["replay"].sample(100)
     value = left["critic"](pairs.observation, pairs.action).mean().item()

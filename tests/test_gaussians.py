@@ -135,7 +135,7 @@ def test_components_of_zero_weight_do_not_count(bound):
     )
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=10, deadline=None)
 @given(seed=st.integers(0, 10_000), dim=st.sampled_from([1, 2]), components=st.integers(1, 6))
 def test_quadrature_lies_between_the_bounds(seed, dim, components):
     problem = random_problem(seed, batch=1, components=components, dim=dim)
@@ -144,7 +144,7 @@ def test_quadrature_lies_between_the_bounds(seed, dim, components):
     assert lower - 1e-6 <= truth <= upper + 1e-6
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(seed=st.integers(0, 10_000), dim=st.sampled_from([1, 2]))
 def test_sampled_estimate_agrees_with_quadrature(seed, dim):
     loc, log_var, *problem = random_problem(seed, batch=1, dim=dim)

@@ -37,6 +37,7 @@ def test_a_script_is_the_command_of_its_name(monkeypatch, capsys, name):
     assert capsys.readouterr().err.startswith("error: ")
 
 
+@pytest.mark.slow
 def test_a_section_of_the_benchmark_leaves_its_page(tmp_path):
     measured = run("benchmark.py", "--only", "vector", "--repeats", 1, "--out", tmp_path)
     assert measured.returncode == 0, measured.stderr

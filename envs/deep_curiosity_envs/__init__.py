@@ -31,11 +31,14 @@ from deep_curiosity_envs.noisy_room import NoisyRoom
 from deep_curiosity_envs.pendulum import PendulumSwingup
 from deep_curiosity_envs.point_maze import PointMaze
 from deep_curiosity_envs.reacher import ReacherSparse
+from deep_curiosity_envs.variants import ActionCost, NoiseSwitch
 from deep_curiosity_envs.vector import MujocoVectorEnv
 
 __all__ = [
     "ILLUSTRATION_IDS",
     "TASK_IDS",
+    "VARIANT_IDS",
+    "ActionCost",
     "BatteryRover",
     "CartpoleHiddenVelocity",
     "CartpoleSwingup",
@@ -43,6 +46,7 @@ __all__ = [
     "ManyMotors",
     "MujocoTask",
     "MujocoVectorEnv",
+    "NoiseSwitch",
     "NoisyRoom",
     "PendulumHiddenVelocity",
     "PendulumSwingup",
@@ -65,7 +69,7 @@ _EPISODE_STEPS: dict[type[MujocoTask], int] = {
 }
 
 
-def _register(task: type[gymnasium.Env], num_steps: int) -> str:
+def _register(task: type[gymnasium.Env], num_steps: int | None) -> str:
     """Register the task with Gymnasium, once, and return its id."""
     task_id = f"deep_curiosity/{task.__name__}-v0"
     if task_id not in gymnasium.registry:
@@ -83,3 +87,5 @@ ILLUSTRATION_IDS = tuple(_register(task, 100) for task in (CleverRandom, Reliabl
 """The paper's two illustrations, for the deep agent: two states, no reward."""
 TASK_IDS = tuple(_register(task, num_steps) for task, num_steps in _EPISODE_STEPS.items())
 """The MuJoCo tasks, each of which also has a vector environment of its own."""
+VARIANT_IDS = tuple(_register(task, None) for task in (ActionCost, NoiseSwitch))
+"""Any other task, made harder; it is given as `env_id`, and its limit of steps stays."""

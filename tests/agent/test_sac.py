@@ -926,7 +926,9 @@ def test_curiosity_that_is_switched_off_does_not_move_the_actor():
         torch.randn(8, 3), action, PushingBonus(1.0), torch.ones(())
     )
     assert curiosity_value.abs().max() == 0
-    with pytest.raises(ValueError, match="`curiosity_coefficient` must not be negative, got -1.0"):
+    with pytest.raises(
+        ValueError, match=r"`curiosity_coefficient` must not be negative, got -1\.0"
+    ):
         agent.curiosity_coefficient = -1.0
 
 

@@ -81,7 +81,7 @@ def test_cold_ties_go_to_the_action_that_other_states_use():
     np.testing.assert_array_equal(greedy(action_value)[1], [0.5, 0.5])
 
 
-@pytest.mark.parametrize("rate", [0.1, 0.3])
+@pytest.mark.parametrize("rate", [pytest.param(0.1, marks=pytest.mark.slow), 0.3])
 def test_dual_meets_its_rate_and_no_policy_of_that_rate_returns_more(rate):
     action_value, states = sample_problem(4)
     point = largest_return(action_value, states, rate)

@@ -47,7 +47,10 @@ def extremes(policy):
     return np.pad(policy[:, :1], ((0, 0), (0, 100))) + np.pad(policy[:, 1:], ((0, 0), (100, 0)))
 
 
-@pytest.mark.parametrize("temperature", [0.05, 0.3, 1.5])
+@pytest.mark.parametrize(
+    "temperature",
+    [pytest.param(0.05, marks=pytest.mark.slow), 0.3, pytest.param(1.5, marks=pytest.mark.slow)],
+)
 def test_clever_random_reaches_one_bit_with_the_two_extreme_actions(temperature):
     mdp, rng = clever_random(), np.random.default_rng(0)
     for _ in range(3):
@@ -149,7 +152,15 @@ def test_what_the_two_cycle_reports_is_more_than_the_mdp_can_carry():
     assert np.exp(log_marginal).max() == pytest.approx(1, abs=1e-4)
 
 
-@pytest.mark.parametrize("temperature", [0.05, ONE_TENTH_BIT, 0.5, 2.0])
+@pytest.mark.parametrize(
+    "temperature",
+    [
+        pytest.param(0.05, marks=pytest.mark.slow),
+        pytest.param(ONE_TENTH_BIT, marks=pytest.mark.slow),
+        0.5,
+        2.0,
+    ],
+)
 def test_short_sighted_agent_stays_in_the_reliable_state_half_the_time(temperature):
     mdp, rng = reliable_unreliable(), np.random.default_rng(4)
     for _ in range(2):
@@ -209,7 +220,9 @@ def test_no_policy_of_the_second_illustration_carries_more_than_the_far_sighted_
     assert max(bits) == pytest.approx(np.log2(3) - 1, abs=1e-9)
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize(
+    "seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)]
+)
 def test_no_perturbation_at_one_time_step_raises_the_objective(seed):
     rng = np.random.default_rng(seed)
     mdp, hunger, temperature, when = random_mdp(4, 3, rng), 0.3, 0.4, 2
@@ -238,7 +251,7 @@ def test_no_perturbation_at_one_time_step_raises_the_objective(seed):
             assert objective(moved) <= best + 1e-12
 
 
-@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("seed", [0, pytest.param(1, marks=pytest.mark.slow)])
 def test_stationary_policy_is_a_maximum_for_its_own_states_and_values(seed):
     rng = np.random.default_rng(seed)
     mdp = random_mdp(4, 3, rng)
@@ -288,7 +301,9 @@ def test_one_update_by_hand():
     np.testing.assert_allclose(np.exp(updated), weight / weight.sum(1, keepdims=True))
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize(
+    "seed", [0, pytest.param(1, marks=pytest.mark.slow), pytest.param(2, marks=pytest.mark.slow)]
+)
 def test_cold_policy_chooses_only_what_the_deterministic_limit_allows(seed):
     mdp = random_mdp(4, 3, np.random.default_rng(seed))
     value = action_values(mdp.transition, mdp.reward, np.full((4, 3), 1 / 3), 0.9)

@@ -18,6 +18,7 @@ FOLDERS = {
     "comparisons": Path("docs/study"),
     "sweeps": Path("docs/sweeps"),
     "illustrations": Path("docs/study"),
+    "results": Path("docs/results"),
 }
 """Module of each group of studies, to the folder of its tables."""
 LIBRARIES = ("stable_baselines3", "torchrl")

@@ -1,3 +1,6 @@
+import re
+from pathlib import Path
+
 import numpy as np
 import pytest
 import torch
@@ -6,16 +9,17 @@ from deep_curiosity.experiments.grid import cells_of
 from deep_curiosity.experiments.studies import (
     FOLDERS,
     comparisons,
+    development,
     find_study,
     illustrations,
+    results,
     sweeps,
 )
+from deep_curiosity.training.environments import make_environment, observation_dim
 
-OURS = {
-    name: study
-    for module in (comparisons, sweeps, illustrations)
-    for name, study in module.STUDIES.items()
-}
+MODULES = comparisons, development, sweeps, illustrations, results
+OURS = {name: study for module in MODULES for name, study in module.STUDIES.items()}
+PROTOCOL = Path(__file__).parents[3] / "docs/results/protocol.md"
 OWN = """
 from deep_curiosity.experiments.study import Study, Task
 from deep_curiosity.training import Config
@@ -40,8 +44,7 @@ def test_a_study_is_found_by_its_name(name):
 
 
 def test_names_of_studies_are_unique():
-    modules = (comparisons, sweeps, illustrations)
-    assert len(OURS) == sum(len(module.STUDIES) for module in modules)
+    assert len(OURS) == sum(len(module.STUDIES) for module in MODULES)
 
 
 def test_a_name_that_is_none_is_answered_with_those_there_are():
@@ -79,3 +82,29 @@ def test_cells_of_a_room_are_counted_once_each():
 def test_the_exact_policy_stays_three_quarters_of_the_time_where_curiosity_looks_far():
     assert illustrations.exact_pi_stay(0.0) == pytest.approx(0.5, abs=1e-3)
     assert illustrations.exact_pi_stay(0.97) == pytest.approx(0.745, abs=0.01)
+
+
+def test_tasks_are_those_of_the_protocol_with_its_budgets():
+    rows = re.findall(
+        r"^\| .* \| (\d[\d ]*) \| (\d+)(?: of [\d ]+)? \|", PROTOCOL.read_text(), re.M
+    )
+    stated = [(int(steps.replace(" ", "")), float(solved)) for steps, solved in rows]
+    tasks = results.SPARSE_TASKS
+    assert stated == [(task.config.run.total_steps, task.solved_return) for task in tasks]
+
+
+@pytest.mark.parametrize("task", results.SPARSE_TASKS, ids=lambda task: task.name)
+def test_networks_are_as_wide_as_the_protocol_says(task):
+    if task.name.startswith("dm_control/"):
+        pytest.importorskip("shimmy")
+    if task.name.startswith(("PointMaze_", "Adroit")):
+        pytest.importorskip("gymnasium_robotics")
+    entries = observation_dim(make_environment(task.config.environment))
+    is_wide = entries > results.MOST_ENTRIES
+    assert task.config.agent.hidden_dim == (results.WIDE if is_wide else results.NARROW)
+
+
+def test_nothing_that_is_reported_was_looked_at_to_choose_defaults():
+    chosen_on = {task.name for task in (*development.TASKS, *development.DENSE_TASKS)}
+    both = {task.name for task in results.SPARSE_TASKS} & chosen_on
+    assert both == {"MountainCarContinuous-v0"}  # which the protocol says

@@ -1,0 +1,122 @@
+"""Any task of continuous actions, made harder: dear actions, or noise that they switch."""
+
+from typing import Any
+
+import gymnasium
+import numpy as np
+from gymnasium.spaces import Box
+
+Step = tuple[Any, float, bool, bool, dict[str, Any]]
+
+
+class ActionCost(gymnasium.Wrapper):
+    """A task whose actions cost reward, so that doing nothing is a local optimum.
+
+    Args:
+        env_id: Gymnasium id of the task, whose actions are bounded.
+        action_cost: Reward lost per step at full action: it counts the mean over dimensions of the
+            squared action, in units of its bounds.
+        render_mode: As for the task.
+        **env_kwargs: Further arguments of the task.
+
+    Raises:
+        ValueError: If the cost is negative, or the actions of the task have no bounds.
+    """
+
+    def __init__(
+        self,
+        env_id: str = "MountainCarContinuous-v0",
+        action_cost: float = 0.1,
+        render_mode: str | None = None,
+        **env_kwargs: Any,
+    ) -> None:
+        if not 0 <= action_cost < np.inf:
+            raise ValueError(
+                f"`action_cost` must be finite and not be negative, got {action_cost}."
+            )
+        super().__init__(gymnasium.make(env_id, render_mode=render_mode, **env_kwargs))
+        self.action_cost = float(action_cost)
+        self._middle, self._half_range = _middle_and_half_range(self.env.action_space)
+
+    def step(self, action: Any) -> Step:
+        """Take a step and charge it."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        unit = (np.asarray(action, float) - self._middle) / self._half_range
+        cost = self.action_cost * float(np.mean(np.clip(unit, -1, 1) ** 2))
+        return observation, float(reward) - cost, terminated, truncated, info
+
+
+class NoiseSwitch(gymnasium.Wrapper):
+    """A task with a television: one more action switches noise on, in channels that say nothing.
+
+    The channels are zero, but independent and uniform in [-1, 1) at every step whose last action
+    is positive. What they show is a function of the seed and of the steps taken. Every `info`
+    holds `noisy`, whether they flicker.
+
+    Observation: that of the task, and behind it the channels.
+
+    Args:
+        env_id: Gymnasium id of the task, whose observations are one array, actions bounded.
+        num_channels: How many there are.
+        render_mode: As for the task.
+        **env_kwargs: Further arguments of the task.
+
+    Raises:
+        ValueError: If there is no channel, observations are not one flat array, or the actions of
+            the task have no bounds.
+    """
+
+    def __init__(
+        self,
+        env_id: str = "MountainCarContinuous-v0",
+        num_channels: int = 2,
+        render_mode: str | None = None,
+        **env_kwargs: Any,
+    ) -> None:
+        if num_channels < 1:
+            raise ValueError(f"`num_channels` must be at least 1, got {num_channels}.")
+        super().__init__(gymnasium.make(env_id, render_mode=render_mode, **env_kwargs))
+        own, actions = self.env.observation_space, self.env.action_space
+        if not (isinstance(own, Box) and len(own.shape) == 1):
+            raise ValueError(f"`env_id` must have observations of one flat array, got {own}.")
+        _middle_and_half_range(actions)
+        self.num_channels = num_channels
+        self.observation_space = _extended(own, num_channels)
+        self.action_space = _extended(actions, 1)
+        self._generator = np.random.default_rng()
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Begin an episode, with the noise off."""
+        if seed is not None:
+            self._generator = np.random.default_rng(seed)
+        observation, info = self.env.reset(seed=seed, options=options)
+        return self._with_channels(observation, noisy=False), info | {"noisy": False}
+
+    def step(self, action: Any) -> Step:
+        """Take a step, and set the channels by the last action."""
+        observation, reward, terminated, truncated, info = self.env.step(action[:-1])
+        noisy = bool(action[-1] > 0)
+        shown = self._with_channels(observation, noisy=noisy)
+        return shown, float(reward), terminated, truncated, info | {"noisy": noisy}
+
+    def _with_channels(self, observation: Any, *, noisy: bool) -> np.ndarray:
+        channels = self._generator.uniform(-1, 1, self.num_channels) * noisy
+        return np.concatenate([observation, channels]).astype(self.observation_space.dtype)
+
+
+def _extended(space: gymnasium.Space, num_entries: int) -> Box:
+    """The space with entries in [-1, 1] behind its own."""
+    assert isinstance(space, Box)
+    ones = np.ones(num_entries)
+    low, high = np.concatenate([space.low, -ones]), np.concatenate([space.high, ones])
+    return Box(low.astype(space.dtype), high.astype(space.dtype), dtype=space.dtype.type)
+
+
+def _middle_and_half_range(space: gymnasium.Space) -> tuple[np.ndarray, np.ndarray]:
+    """Centre and half width of the actions in every dimension."""
+    if not (isinstance(space, Box) and space.is_bounded()):
+        raise ValueError(f"`env_id` must have actions in a bounded box, got {space}.")
+    low, high = space.low.astype(float), space.high.astype(float)
+    return (low + high) / 2, (high - low) / 2

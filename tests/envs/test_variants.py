@@ -1,0 +1,101 @@
+import gymnasium
+import numpy as np
+import pytest
+
+import deep_curiosity_envs
+from deep_curiosity.training import Config, train
+from deep_curiosity_envs import ActionCost, NoiseSwitch
+
+PENDULUM = "Pendulum-v1"  # torque within [-2, 2]
+CAR = "MountainCarContinuous-v0"
+
+
+def rollout(env, actions, seed=0):
+    """Observations of an episode."""
+    return np.array([env.reset(seed=seed)[0], *(env.step(action)[0] for action in actions)])
+
+
+@pytest.mark.parametrize(("torque", "cost"), [(0.0, 0.0), (1.0, 0.025), (-2.0, 0.1)])
+def test_actions_cost_their_square_in_units_of_their_bounds(torque, cost):
+    dear, free = ActionCost(PENDULUM, action_cost=0.1), gymnasium.make(PENDULUM)
+    dear.reset(seed=3)
+    free.reset(seed=3)
+    action = np.array([torque], np.float32)
+    observation, reward, *_ = dear.step(action)
+    expected, free_reward, *_ = free.step(action)
+    assert np.array_equal(observation, expected)
+    assert reward == pytest.approx(free_reward - cost)
+
+
+@pytest.mark.parametrize("cost", [-0.1, float("nan"), float("inf")])
+def test_a_cost_that_cannot_be_is_refused(cost):
+    with pytest.raises(ValueError, match="`action_cost` must be finite and not be negative, got"):
+        ActionCost(action_cost=cost)
+
+
+def test_channels_flicker_where_the_last_action_is_positive_and_nowhere_else():
+    env, plain = NoiseSwitch(CAR, num_channels=3), gymnasium.make(CAR)
+    switched = np.array([0, 1, 1, 0, -1, 1], bool)
+    last = np.where(switched, 0.5, -0.5)
+    push = np.linspace(-1, 1, len(last))
+    shown = rollout(env, np.stack([push, last], -1).astype(np.float32))
+    assert np.array_equal(shown[:, :2], rollout(plain, push[:, None].astype(np.float32)))
+    on = np.concatenate([[False], last > 0])
+    assert (shown[on, 2:] != 0).all()
+    assert (shown[~on, 2:] == 0).all()
+    assert len(np.unique(shown[on, 2:])) == 3 * on.sum()
+    assert env.observation_space.contains(shown[-1])
+
+
+def test_noise_repeats_with_the_seed_and_goes_on_without_one():
+    env = NoiseSwitch()
+    on = np.ones((4, 2), np.float32)
+    first, again, other = (rollout(env, on, seed) for seed in (1, 1, 2))
+    assert np.array_equal(first, again)
+    assert not np.isin(other[1:, 2:], first[1:, 2:]).any()
+    env.reset()
+    assert not np.isin(env.step(on[0])[0][2:], other[1:, 2:]).any()
+
+
+@pytest.mark.parametrize(
+    ("make", "rule"),
+    [
+        (lambda: NoiseSwitch("CartPole-v1"), "`env_id` must have actions in a bounded box, got"),
+        (lambda: ActionCost("CartPole-v1"), "`env_id` must have actions in a bounded box, got"),
+        (lambda: NoiseSwitch(num_channels=0), "`num_channels` must be at least 1, got 0"),
+        (
+            lambda: NoiseSwitch("FrozenLake-v1"),
+            "`env_id` must have observations of one flat array",
+        ),
+    ],
+)
+def test_tasks_that_cannot_be_changed_so_are_refused(make, rule):
+    with pytest.raises(ValueError, match=rule):
+        make()
+
+
+@pytest.mark.parametrize("variant_id", deep_curiosity_envs.VARIANT_IDS)
+def test_variants_are_made_by_their_id_and_keep_the_limit_of_the_task(variant_id):
+    env = gymnasium.make(variant_id, env_id=PENDULUM)
+    env.reset(seed=0)
+    action = np.zeros(env.action_space.shape, np.float32)
+    ends = [env.step(action)[3] for _ in range(200)]
+    assert ends == [False] * 199 + [True]
+
+
+def test_a_variant_trains_and_shows_what_is_switched(tmp_path):
+    config = Config.of(
+        env_id="deep_curiosity/NoiseSwitch-v0",
+        env_kwargs={"env_id": CAR, "num_channels": 1},
+        total_steps=80,
+        learning_starts=40,
+        hidden_dim=8,
+        batch_size=8,
+        evaluation_interval=80,
+        evaluation_episodes=1,
+        max_episode_steps=20,
+        log_interval=40,
+        compile="off",
+        out=tmp_path / "run",
+    )
+    assert train(config, show_progress=False)["total_steps"] == 80
