@@ -217,14 +217,21 @@ def collect(cells: Sequence[Cell], results: dict[int, Result]) -> tuple[list[Row
     for number, result in sorted(results.items()):
         cell = cells[number]
         key = {"task": cell.task.name, cell.study.label: cell.agent, "seed": cell.seed}
+        needed = cell.task.solved_return
         for measured in result.rows:
-            score = measured.get("evaluation_return", math.nan)
-            needed = cell.task.solved_return
-            known = not (math.isnan(score) or math.isnan(needed))
-            solved = {"solved": int(score >= needed) if known else ""}
+            solved = _solved(measured, result.curve, needed)
             rows.append(key | solved | measured | result.origin)
         curves += [key | point for point in result.curve]
     return rows, curves
+
+
+def _solved(measured: Row, curve: Sequence[Row], needed: float) -> Row:
+    """Whether a run ends solved, and the step of the first evaluation in which it is."""
+    score = measured.get("evaluation_return", math.nan)
+    if math.isnan(score) or math.isnan(needed):
+        return {"solved": "", "solved_step": None}
+    steps = [point["step"] for point in curve if point["evaluation_return"] >= needed]
+    return {"solved": int(score >= needed), "solved_step": min(steps, default=None)}
 
 
 def write_tables(study: Study, rows: list[Row], curves: list[Row], out: Path) -> None:

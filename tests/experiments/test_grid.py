@@ -12,6 +12,7 @@ from deep_curiosity.experiments.engines.local import LocalEngine
 from deep_curiosity.experiments.grid import (
     Records,
     cells_of,
+    collect,
     compare,
     output_path,
     overridden,
@@ -49,6 +50,23 @@ def test_a_study_leaves_table_curves_and_figure_and_repeats_no_run(
     with ThreadPoolExecutor(1) as executor:  # any executor serves, and sees the patch
         assert run_study(small_study, **places | {"executor": executor}) == 0
     assert table(out) == rows
+
+
+def test_a_run_is_solved_by_its_last_evaluation_and_since_the_first_that_earns_enough(tmp_path):
+    study = Study([Task("maze", Config(), 5.0), Task("open", Config())], {"default": {}}, seeds=2)
+    returns = [1.0, 7.0, 4.0, 6.0]
+    curve = [{"step": 10 * n, "evaluation_return": value} for n, value in enumerate(returns, 1)]
+    ends = [
+        Result([{"evaluation_return": points[-1]["evaluation_return"]}], points, {})
+        for points in (curve, curve, curve[:1], curve[:3])  # seed by seed
+    ]
+    rows, _ = collect(cells_of(study, tmp_path / "runs"), dict(enumerate(ends)))
+    assert [(row["task"], row["solved"], row["solved_step"]) for row in rows] == [
+        ("maze", 1, 20),
+        ("open", "", None),
+        ("maze", 0, None),
+        ("open", "", None),
+    ]
 
 
 def test_every_row_says_which_code_made_it_and_how_it_was_set(small_study, tmp_path):
