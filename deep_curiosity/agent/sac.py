@@ -594,10 +594,15 @@ class CuriousSAC(nn.Module):
         return torch.where(self._fixed_coefficient < 0, adaptive, self._fixed_coefficient)
 
     def _update_prior(self, sample: PolicySample) -> dict[str, Tensor]:
-        """Fit a learned prior to what the policy does."""
+        """Fit a learned prior to what the curious policy does.
+
+        The greedy one does little where nothing was found that pays; a prior that followed it
+        would hold the curious one to as little.
+        """
         if "prior" not in self.optimizers:
             return {}
-        loss = prior_loss(self.prior.log_prob(sample.pre_action), sample.weight)
+        pre_action, weight = sample.pre_action[:, -1], sample.weight[:, -1]
+        loss = prior_loss(self.prior.log_prob(pre_action), weight)
         self.optimizers["prior"].step(loss)
         return {"prior_log_prob": -loss.detach()}
 

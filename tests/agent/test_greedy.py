@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from deep_curiosity.agent.networks import GaussianPolicy
-from deep_curiosity.agent.sac import CuriousSAC
+from deep_curiosity.agent.sac import CuriousSAC, PolicySample
 from deep_curiosity.bonuses.baselines import ConstantBonus
 from tests.agent.test_sac import (
     PushingBonus,
@@ -150,3 +150,15 @@ def test_without_curiosity_there_is_no_greedy_policy():
 def test_a_greedy_share_that_would_do_nothing_is_refused():
     with pytest.raises(ValueError, match="`greedy_share` must be left out or 0"):
         CuriousSAC.default(3, 2, greedy_share=0.25, hunger="random")
+
+
+def test_a_learned_prior_is_the_marginal_of_the_curious_policy_and_not_of_the_greedy_one():
+    agent = greedy_agent(prior="learned", learning_rate=1e-2)
+    greedy, curious = torch.zeros(64, 2), torch.full((64, 2), 1.5)
+    pre_action = torch.stack([greedy, curious]).unsqueeze(0)
+    nothing = torch.zeros(1, 2, 64)
+    for _ in range(300):
+        agent._update_prior(PolicySample(pre_action, nothing, torch.ones(1, 2, 64)))
+    with torch.no_grad():
+        density = agent.prior.log_prob(torch.stack([greedy[0], curious[0]]))
+    assert density[1] > density[0] + 2
