@@ -40,7 +40,6 @@ COMMON = (
     "learning_starts",
     "update_to_data",
     "exploration",
-    "hindsight",
     "evaluation_interval",
     "checkpoint_interval",
     "bonus_weight",
