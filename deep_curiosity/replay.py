@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from torchrl.data import ReplayBuffer as TorchRLReplayBuffer
 
 Vector = np.ndarray | Sequence[float] | float
+UNENDED = 2**62  # in the place of the number of a row by which an episode ends
 
 
 class ReplayBuffer:
@@ -61,6 +62,8 @@ class ReplayBuffer:
         self.bonus = torch.full((capacity,), math.nan, device=device)
         """Of the transition in each slot, as it last was; NaN until it is known."""
         self._num_added = 0
+        self._last: Tensor | None = None  # by slot, the number of the row that ends its episode
+        self._num_searched = 0  # rows among which ends of episodes were looked for
         self._generator = torch.Generator(device).manual_seed(seed)
 
     def __len__(self) -> int:
@@ -258,6 +261,49 @@ class ReplayBuffer:
         age = (torch.log1p(-held * share) / -rate).long().clamp_(max=len(self) - 1)
         return self._at((self._num_added - 1 - age) % self.capacity)
 
+    def sample_later(self, slot: Int[Tensor, " batch"]) -> Transition:
+        """Sample for each slot a transition of the same episode: that one or one after it.
+
+        All are equally likely, up to the end of the episode or, while it goes on, to its newest.
+
+        Args:
+            slot: Of transitions that are held, as `sample_rows` gives them.
+        """
+        oldest = self._num_added - len(self)
+        number = oldest + (slot - oldest) % self.capacity  # of all rows that were ever added
+        last = self._last_numbers()[slot]
+        last = torch.where(number < self._num_searched, last, UNENDED)
+        num_later = (last.clamp(max=self._num_added - 1) - number) // self.num_envs
+        share = torch.rand(
+            len(slot), generator=self._generator, dtype=torch.float64, device=slot.device
+        )
+        step = (share * (num_later + 1)).long()
+        return self._at((number + self.num_envs * step) % self.capacity)
+
+    def _last_numbers(self) -> Int[Tensor, " capacity"]:
+        """By slot, the number of the row that ends its episode, for the rows that were searched.
+
+        All are searched anew once another episode has ended.
+        """
+        oldest = self._num_added - len(self)
+        new = self._arange(max(oldest, self._num_searched), self._num_added) % self.capacity
+        if self._last is None or (self._rows[new, -2:] > 0).any():
+            self._last = self._find_last_numbers()
+            self._num_searched = self._num_added
+        return self._last
+
+    def _find_last_numbers(self) -> Int[Tensor, " capacity"]:
+        """The same, of all rows that are held."""
+        size = len(self)
+        number = self._num_added - size + self._arange(size)
+        slot = number % self.capacity
+        ends = torch.where((self._rows[slot, -2:] > 0).any(-1), number, UNENDED)
+        ends = torch.nn.functional.pad(ends, (0, -size % self.num_envs), value=UNENDED)
+        ends = ends.unflatten(0, (-1, self.num_envs)).flip(0).cummin(0).values.flip(0)
+        last = torch.full((self.capacity,), UNENDED, device=self._rows.device)
+        last[slot] = ends.flatten()[:size]
+        return last
+
     def newest(self, num_rows: int) -> Transition:
         """The newest transitions, oldest first: so many, or all while there are fewer.
 
@@ -314,6 +360,7 @@ class ReplayBuffer:
         self._rows[: rows.shape[0]] = rows
         self.bonus[: rows.shape[0]] = state["bonus"]
         self._num_added = state["num_added"]
+        self._last = None
         self._generator.set_state(state["generator"])
 
     def take_over(self, state: dict[str, Any]) -> None:
@@ -338,6 +385,7 @@ class ReplayBuffer:
         held = rows[-self.capacity :]
         self._rows[: len(held)] = held
         self._num_added = len(held)
+        self._last = None
 
     def to_torchrl(self) -> "TorchRLReplayBuffer":
         """Copy into a torchrl buffer under torchrl's usual keys.

@@ -458,3 +458,69 @@ def test_a_step_after_the_end_of_a_task_repeats_that_end():
     replay.extend(*unended(1, 1), np.array([False]))
     assert replay.all().terminated.tolist() == [True, True]
     assert replay.all().truncated.tolist() == [False, False]
+
+
+def ends_of(replay):
+    """Number of the row that ends the episode of each row that is held, oldest first."""
+    held, last = replay.all(), {}
+    ended = (held.terminated | held.truncated).tolist()
+    size, apart = len(ended), replay.num_envs
+    for row in reversed(range(size)):
+        goes_on = not ended[row] and row + apart < size
+        last[row] = last[row + apart] if goes_on else row
+    return last
+
+
+def check_later(replay):
+    """Later steps of every row are those up to the end of its episode, and all of them."""
+    oldest, numbered = replay._num_added - len(replay), numbers(replay.all())
+    for row, last in ends_of(replay).items():
+        slot = torch.full((600,), (oldest + row) % replay.capacity)
+        expected = numbered[row : last + 1 : replay.num_envs]
+        assert sorted(set(numbers(replay.sample_later(slot)))) == expected
+
+
+@pytest.mark.parametrize("num_envs", [1, 3])
+@pytest.mark.parametrize("capacity", [8, 21, 100])
+def test_later_steps_are_of_the_same_episode_to_its_end(capacity, num_envs):
+    replay, generator = ReplayBuffer(capacity, 3, 2, num_envs=num_envs), np.random.default_rng(1)
+    for step in range(13):
+        ends = generator.uniform(size=(2, num_envs)) < 0.15
+        replay.extend(*batch(step * num_envs, num_envs)[:4], *ends)
+        if step % 3 == 0 or step > 10:
+            check_later(replay)
+    restored = ReplayBuffer(capacity, 3, 2, num_envs=num_envs)
+    restored.extend(*batch(0, num_envs))
+    restored.sample_later(torch.tensor([0]))
+    restored.load_state_dict(replay.state_dict())
+    check_later(restored)
+    warm = ReplayBuffer(capacity, 3, 2, num_envs=num_envs)
+    warm.take_over(replay.state_dict())
+    check_later(warm)
+
+
+def test_later_steps_end_where_there_was_no_sound_step():
+    replay = ReplayBuffer(20, 3, 2)
+    for number in range(3):
+        add(replay, number + 1)
+    check_later(replay)
+    replay.extend(*batch(50, 1), sound=np.array([False]))
+    check_later(replay)
+    assert numbers(replay.sample_later(torch.full((50,), 2))) == [3] * 50
+
+
+def test_later_steps_are_equally_likely():
+    replay = ReplayBuffer(20, 3, 2)
+    for number in range(1, 6):
+        add(replay, number, truncated=number == 4)
+    sampled = replay.sample_later(torch.zeros(40_000, dtype=torch.long)).observation[:, 0]
+    share = torch.bincount(sampled.long(), minlength=6) / 40_000
+    torch.testing.assert_close(
+        share, torch.tensor([0, 0.25, 0.25, 0.25, 0.25, 0]), rtol=0, atol=0.01
+    )
+
+
+def test_to_look_for_ends_samples_nothing():
+    one, other = filled(8), filled(8)
+    one._last_numbers()
+    assert equal(one.sample(20), other.sample(20))

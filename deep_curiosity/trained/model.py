@@ -167,7 +167,7 @@ def load_bonus(folder: str | Path) -> FrozenBonus:
 
 def _make_bonus(trained: Trained) -> Bonus | None:
     """Bonus of a run with its weights, or `None` where it has none."""
-    bonus = make_run_bonus(trained.config, *sizes(trained))
+    bonus = make_run_bonus(trained.config, *sizes(trained), trained.spaces)
     if bonus is not None:
         bonus.load_state_dict(trained.bonus)
     return bonus

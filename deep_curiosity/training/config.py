@@ -117,6 +117,10 @@ class RunConfig(Group):
     """Updates per environment step once learning has begun; 0.25 is one at every fourth step."""
     batch_size: int = 256
     """Transitions in an update."""
+    hindsight: int | None = setting(None, at_most=1_000)
+    """Goals in hindsight for each real one in an update: what was achieved at a later step of the
+    episode, as if it was desired. For dictionaries of observation, achieved_goal and desired_goal
+    whose environment has compute_reward; by default none."""
     replay_capacity: int = setting(1_000_000, at_most=10**9)
     """Transitions kept; memory is taken only as they come."""
     exploration: Literal["policy", "gsde", "pink", "ou"] = "policy"
@@ -320,6 +324,37 @@ def _refuse_idle_settings(config: Config) -> None:
             f"got {config.environment.vectorization!r}."
         )
     _refuse_idle_switches(config)
+    if config.run.hindsight is not None:
+        _refuse_beside_hindsight(config)
+
+
+def _refuse_beside_hindsight(config: Config) -> None:
+    """Refuse what no goal in hindsight can be put into.
+
+    Raises:
+        ValueError: Naming the setting, the rule and its value.
+    """
+    environment, curiosity = config.environment, config.agent.curiosity
+    if environment.frame_stack > 1:
+        raise ValueError(
+            "`frame_stack` must be 1 with `hindsight`, which puts a goal into single "
+            f"observations, got {environment.frame_stack}."
+        )
+    if environment.terminate_on_success:
+        raise ValueError(
+            "`terminate_on_success` must be left out with `hindsight`, which knows of success "
+            "with another goal only by compute_terminated, got True."
+        )
+    if config.bonus.kind != "none" and curiosity.discount == 0:
+        raise ValueError(
+            "`curiosity_discount` must be above 0 with `hindsight`: the policy would maximise a "
+            "bonus of goals that nobody pursued, got 0."
+        )
+    if not curiosity.episodic:
+        raise ValueError(
+            "`curiosity_episodic` must be True with `hindsight`, since nothing follows on the end "
+            "of an episode that went on, got False."
+        )
 
 
 def _refuse_settings_of_curiosity(agent: AgentConfig) -> None:

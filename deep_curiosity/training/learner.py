@@ -18,6 +18,7 @@ from deep_curiosity.training.collector import Step, as_batch
 from deep_curiosity.training.config import Config
 from deep_curiosity.training.exploration import Noise, make_noise
 from deep_curiosity.training.greedy import GreedyStretches
+from deep_curiosity.training.hindsight import Hindsight
 from deep_curiosity.training.hunger import (
     HungerController,
     HungerFunction,
@@ -25,7 +26,7 @@ from deep_curiosity.training.hunger import (
 )
 from deep_curiosity.training.interfaces import Info, Policy
 from deep_curiosity.training.parts import make_agent, make_run_bonus
-from deep_curiosity.transitions import Transition
+from deep_curiosity.transitions import Sequences, Transition
 
 NUM_DIAGNOSED_STATES = 512  # of replay, over which the information of the actions is estimated
 
@@ -38,6 +39,10 @@ class Learner:
         observation_dim: Length of an observation.
         action_dim: Length of an action.
         hunger: The caller's own function of observation and info.
+        hindsight: Relabels goals, where the setting of this name is.
+
+    Raises:
+        ValueError: If goals are to be relabelled and there is nothing that does it.
     """
 
     def __init__(
@@ -46,12 +51,16 @@ class Learner:
         observation_dim: int,
         action_dim: int,
         hunger: HungerFunction | None = None,
+        hindsight: Hindsight | None = None,
     ) -> None:
         self.config = config
+        self.hindsight = hindsight
         self.device = torch.device(config.speed.device)
         self.hunger_controller = make_hunger_controller(config, observation_dim, hunger)
         self.agent = make_agent(config, observation_dim, action_dim).to(self.device)
-        self.bonus = make_run_bonus(config, observation_dim, action_dim)
+        self.bonus = make_run_bonus(
+            config, observation_dim, action_dim, None if hindsight is None else hindsight.spaces
+        )
         if self.bonus is not None:
             self.bonus.to(self.device)
         self.greedy_stretches = GreedyStretches(
@@ -166,7 +175,13 @@ class Learner:
             else:
                 self._observe(self.bonus, rows, alive)
         later = slot[batch_size : batch_size * self.agent.num_steps[-1]]
-        metrics, bonus = self._learn(rows, alive, self.replay.bonus.index_select(0, later))
+        remembered = self.replay.bonus.index_select(0, later)
+        relabelled = (
+            None
+            if self.hindsight is None
+            else self.hindsight.relabel(self.replay, rows, alive, slot)
+        )
+        metrics, bonus = self._learn(rows, alive, remembered, relabelled)
         if bonus is not None:
             self.replay.bonus.index_copy_(0, slot[:batch_size], bonus)
         return metrics
@@ -187,7 +202,7 @@ class Learner:
         )
 
     def _learn_eagerly(
-        self, rows: Tensor, alive: Tensor, remembered: Tensor
+        self, rows: Tensor, alive: Tensor, remembered: Tensor, relabelled: Sequences | None
     ) -> tuple[dict[str, Tensor], Tensor | None]:
         """The part of an update that can be one graph.
 
@@ -195,6 +210,8 @@ class Learner:
             rows: Sequences as they lie in replay.
             alive: Which of them belong to their sequence.
             remembered: Bonus of the later steps that count, as it last was.
+            relabelled: The same sequences with the goals that the agent is to learn from, where
+                these are others; bonus and models are about what was, whatever is desired.
 
         Returns:
             What to log, and the bonus of the first step of every sequence.
@@ -214,7 +231,8 @@ class Learner:
             if self.bonus_optimizer is not None:
                 self.bonus_optimizer.step(loss)
             metrics["curiosity/model_loss"] = loss.detach()
-        for name, value in self.agent.update(sequences, bonus).items():
+        seen = sequences if relabelled is None else relabelled
+        for name, value in self.agent.update(seen, bonus).items():
             metrics[f"agent/{name}"] = value
         return metrics, fresh
 

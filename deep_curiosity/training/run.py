@@ -52,6 +52,7 @@ from deep_curiosity.training.environments import (
     task_spaces,
 )
 from deep_curiosity.training.failure import close_at_once, environment_failure
+from deep_curiosity.training.hindsight import make_hindsight
 from deep_curiosity.training.hunger import HungerFunction
 from deep_curiosity.training.interruption import Interrupted, is_interrupted
 from deep_curiosity.training.learner import Learner, compiles, compiles_from
@@ -345,7 +346,8 @@ def open_run(
         evaluation_environment = make_environment(config.environment, **_own(make_env))
         stack.callback(evaluation_environment.close)
         sizes = observation_dim(evaluation_environment), action_dim(evaluation_environment)
-        learner = Learner(config, *sizes, hunger)
+        hindsight = make_hindsight(config.run.hindsight, evaluation_environment)
+        learner = Learner(config, *sizes, hunger, hindsight)
         collector = make_collector(config, make_env)
         stack.callback(collector.environment.close)
         begins = not resume or is_unbegun(config.run.out)

@@ -1,8 +1,10 @@
 """Spaces of a task as a run writes them down, for whoever acts in it later, without gymnasium."""
 
 import json
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from itertools import accumulate
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -10,6 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 SPACES = "spaces.json"
+ACHIEVED_GOAL, DESIRED_GOAL = "achieved_goal", "desired_goal"
+"""Keys of the goals in a dictionary of observations."""
 
 
 class Entry(NamedTuple):
@@ -32,6 +36,16 @@ class TaskSpaces:
     entries: tuple[Entry, ...] = ()
     """Of a dictionary of observations, in their order in the vector; none where it is no
     dictionary of boxes."""
+
+    def places(self, key: str) -> tuple[int, ...]:
+        """Places in the vector of what a dictionary of observations has under a key."""
+        sizes = [math.prod(entry.shape) for entry in self.entries]
+        return tuple(
+            place
+            for entry, size, end in zip(self.entries, sizes, accumulate(sizes), strict=True)
+            if entry.path[0] == key
+            for place in range(end - size, end)
+        )
 
     def to_json(self) -> dict[str, Any]:
         """As JSON knows it."""

@@ -38,6 +38,7 @@ VALUES = [
     {"features": (0, -1), "bonus_parts": {"information_gain": 1.0}, "bandwidth": 0.3},
     {"bandwidth": "perplexity", "tune_bonus_weight": "past", "curiosity_coefficient": 0.5},
     {"tune_bonus_weight": 50.0, "marginal_half_life": None},
+    {"hindsight": 4},
     {"curiosity_ends": 700, "curiosity_steps": 1, "curiosity_episodic": False},
     {"num_envs": 4, "vectorization": "sync", "soft_backup": False, "target_information_rate": 2.0},
 ]
@@ -165,6 +166,20 @@ def test_hunger_and_temperature_are_read_from_their_text():
         ({"bonus": "none", "curiosity_coefficient": 1.0}, "`curiosity_coefficient` must be left"),
         ({"bonus": "none", "curiosity_ends": 9}, "`curiosity_ends` must be left out .* got 9"),
         ({"curiosity_ends": 20_000}, r"`curiosity_ends` must be below `total_steps` \(20000\)"),
+        ({"hindsight": 0}, "`hindsight` must be at least 1, got 0"),
+        ({"hindsight": 4, "frame_stack": 3}, "`frame_stack` must be 1 with `hindsight`.* got 3"),
+        (
+            {"hindsight": 4, "terminate_on_success": True},
+            "`terminate_on_success` must be left out with `hindsight`.* got True",
+        ),
+        (
+            {"hindsight": 4, "curiosity_discount": 0.0},
+            "`curiosity_discount` must be above 0 with `hindsight`.* got 0",
+        ),
+        (
+            {"hindsight": 4, "curiosity_episodic": False},
+            "`curiosity_episodic` must be True with `hindsight`.* got False",
+        ),
         ({"vectorization": "sync"}, "`vectorization` must be left out for a single .* got 'sync'"),
         ({"vectorization": "threads"}, "`vectorization` must be one of .*'async', got 'threads'"),
         ({"bonus": "novelty"}, "`bonus` must be one of curiosity, .*none, got 'novelty'"),

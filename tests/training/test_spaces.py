@@ -93,3 +93,9 @@ def test_entries_of_a_dictionary_are_written_down():
     vector, _ = environment.reset(seed=0)
     np.testing.assert_allclose(found.to_vector(observation), vector)
     environment.close()
+
+
+def test_places_are_those_of_the_flattened_entries():
+    assert REACH.places("goal") == (0, 1)
+    assert REACH.places("robot") == (2, 3, 4)
+    assert REACH.places("reward") == ()
