@@ -422,6 +422,8 @@ def merge_config(wanted: Config, own: Config) -> Config:
 
 
 IGNORED = ("out", "matmul_precision")  # the last is chosen anew by the clock
+YOUNGER: dict[str, Any] = {"hindsight": None}
+"""Settings that came after the first runs, with the value by which these were as they are."""
 LEARNING_STAYS = (
     "log_interval",
     "evaluation_interval",

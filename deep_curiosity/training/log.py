@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from deep_curiosity.training.checkpoint import NEWEST, PREVIOUS
-from deep_curiosity.training.config import Config
+from deep_curiosity.training.config import YOUNGER, Config
 from deep_curiosity.training.spaces import SPACES
 
 CONFIG = "config.json"
@@ -79,7 +79,7 @@ def read_config(folder: Path) -> Config:
 
 
 def read_values(folder: Path) -> dict[str, Any]:
-    """Settings of the run in a folder, as they are written.
+    """Settings of the run in a folder, as they are written; younger ones as if they were.
 
     Raises:
         FileNotFoundError: If the folder holds no run.
@@ -94,7 +94,7 @@ def read_values(folder: Path) -> dict[str, Any]:
             raise ValueError(f"not by name: {values!r}")
     except (RecursionError, ValueError) as error:  # no text, no JSON
         raise ValueError(f"`{CONFIG}` must hold settings in JSON, got {path}: {error}.") from error
-    return values
+    return YOUNGER | values
 
 
 def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

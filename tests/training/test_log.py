@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from deep_curiosity.training.config import Config
+from deep_curiosity.training.config import YOUNGER, Config, config_key
 from deep_curiosity.training.log import (
     CONFIG,
     PROGRESS,
@@ -79,6 +79,16 @@ def test_a_setting_that_is_missing_in_a_file_is_named(tmp_path, name):
     write_json(tmp_path / CONFIG, values)
     with pytest.raises(ValueError, match=rf"config\.json: `{name}` must be there, such as"):
         read_config(tmp_path)
+
+
+def test_a_run_from_before_a_setting_goes_on_without_it(tmp_path):
+    config = Config.of(seed=3)
+    values = config.to_json()
+    for name, value in YOUNGER.items():
+        assert values.pop(name) == value  # the default, else an older run would be another one
+    write_json(tmp_path / CONFIG, values)
+    assert config_key(read_values(tmp_path)) == config_key(config.to_json())
+    assert read_config(tmp_path) == config.override(out=tmp_path)
 
 
 @pytest.mark.parametrize(
