@@ -1,146 +1,109 @@
-"""A Ray cluster of two nodes on this machine, where workers and nodes are killed while runs train.
+"""A Ray cluster of two nodes on this machine, where workers and a node are killed as runs train.
 
-Slow: Ray itself takes some seconds to start, and every killed run a few to go on.
+With Ray they are slow: it takes some seconds to start, and every killed run a few to go on.
 """
 
-import csv
-import json
 import os
-import random
-import signal
-import threading
-import time
 from dataclasses import replace
 
 import pytest
 
-from deep_curiosity.experiments.engines.local import LocalEngine
+from deep_curiosity.experiments.cluster_torture import (
+    KILLS,
+    Loss,
+    compare,
+    make_study,
+    page,
+    torture_cluster,
+    two_nodes,
+    working,
+)
 from deep_curiosity.experiments.grid import run_study
-from deep_curiosity.experiments.study import Study, Task
+from deep_curiosity.experiments.tables import read_table
+from deep_curiosity.training.lease import Lease
 
-pytest.importorskip("ray")
-
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.filterwarnings("ignore"),  # whatever Ray and its killed processes leave behind
-]
-TIMED = {"steps_per_second", "wall_seconds"}
-KILLS = ("worker", "node", "worker")
+LOSSES = [Loss(kind, 1.0, 0, "pendulum/none/seed0 at step 40") for kind in KILLS]
 
 
 @pytest.fixture
-def cluster(monkeypatch):
-    from ray.cluster_utils import Cluster
-
-    monkeypatch.setenv("RAY_raylet_start_wait_time_s", "180")
-    monkeypatch.setenv("RAY_worker_niceness", "0")  # else others starve them on a busy machine
-    cluster = Cluster()
-    # 127.0.0.1 would be rewritten to the address of the host
-    cluster.add_node(node_ip_address="127.0.0.2", num_cpus=1, object_store_memory=2**27)
-    yield cluster
-    cluster.shutdown()
+def cluster():
+    pytest.importorskip("ray")
+    with two_nodes() as cluster:
+        yield cluster
 
 
-def add_node(cluster):
-    return cluster.add_node(node_ip_address="127.0.0.3", num_cpus=1, object_store_memory=2**27)
-
-
-def lease_of(folder):
-    for lease in folder.glob("lease.*.json"):
-        return json.loads(lease.read_text())
-    return {}
-
-
-def working(runs):
-    """Processes that hold a run which has taken some steps."""
-    return [
-        lease_of(path.parent)["pid"]
-        for path in runs.rglob("progress.csv")
-        if path.stat().st_size > 50 and lease_of(path.parent)
-    ]
-
-
-class Killer(threading.Thread):
-    """Kills workers and a node at random moments; another node can be started by no thread."""
-
-    def __init__(self, cluster, node, runs):
-        super().__init__(daemon=True)
-        self.cluster, self.node, self.runs = cluster, node, runs
-        self.killed = []
-        self.chance = random.Random(0)
-
-    def run(self):
-        for kind in KILLS:
-            while not (pids := working(self.runs)):
-                time.sleep(0.2)
-            time.sleep(self.chance.random() * 3)
-            if kind == "worker":
-                pids = working(self.runs) or pids
-                try:
-                    os.kill(self.chance.choice(pids), signal.SIGKILL)
-                except ProcessLookupError:
-                    pass  # it has just ended
-            else:
-                self.kill_node()
-            self.killed.append(kind)
-            time.sleep(3)
-
-    def kill_node(self):
-        # waits for the raylet: while it is a zombie, its worker takes it for alive and trains on
-        self.cluster.remove_node(self.node, allow_graceful=False)
-
-
-def table(out):
-    with out.with_suffix(".csv").open() as file:
-        return [
-            {name: value for name, value in row.items() if name not in TIMED}
-            for row in csv.DictReader(file)
-        ]
-
-
-def curves(out):
-    return out.with_name(f"{out.name}_curves.csv").read_text()
-
-
-def test_a_study_on_a_cluster_that_loses_workers_and_nodes_ends_with_the_same_table(
-    tiny, cluster, tmp_path
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")  # whatever Ray and its killed processes leave behind
+def test_a_study_on_a_cluster_that_loses_workers_and_a_node_ends_with_the_same_table(
+    cluster, tmp_path
 ):
-    from deep_curiosity.experiments.engines.ray import RayEngine
-
-    config = tiny.override(
-        total_steps=200, checkpoint_interval=40, log_interval=20, evaluation_interval=100
-    )
-    study = Study(
-        [
-            Task("pendulum", config),
-            Task("maze", config.override(env_id="PointMaze", env_kwargs={})),
-        ],
-        {"curiosity": {}, "none": {"bonus": "none"}},
-        seeds=1,
-        curves=True,
-    )
-    local = tmp_path / "local"
-    assert run_study(study, runs=local / "runs", out=local / "out", engine=LocalEngine(2)) == 0
-
-    node = add_node(cluster)
-    there = tmp_path / "ray"
-    killer = Killer(cluster, node, there / "runs")
-    killer.start()
-    engine = RayEngine(cluster.address, _node_ip_address="127.0.0.2")
-    assert run_study(study, runs=there / "runs", out=there / "out", engine=engine) == 0
-    assert killer.killed == [*KILLS]
-    assert table(there / "out") == table(local / "out")
-    assert len(table(there / "out")) == 4
-    assert curves(there / "out") == curves(local / "out")
+    comparison = torture_cluster(make_study(1, 200), tmp_path, cluster, pause=3.0)
+    assert [loss.kind for loss in comparison.losses] == [*KILLS]
+    assert all(" at step " in loss.lost for loss in comparison.losses)
+    assert comparison.runs == comparison.rows == comparison.equal_rows == 4
+    assert comparison.points == comparison.equal_points == 4 * 2
+    assert comparison.cells == comparison.equal_cells > 4 * 10 * 2
+    assert comparison.is_sound
 
 
-def test_a_run_that_raises_is_listed_and_the_others_go_on(tiny, cluster, tmp_path):
-    from deep_curiosity.experiments.engines.ray import RayEngine
-
-    study = Study(
-        [Task("pendulum", tiny)], {"lost": {"env_id": "NoSuchTask"}, "none": {"bonus": "none"}}
-    )
-    engine = RayEngine(cluster.address, _node_ip_address="127.0.0.2")
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_a_run_that_raises_is_listed_and_the_others_go_on(cluster, tmp_path):
+    study = make_study(1, 60)
+    agents = {"lost": {"env_id": "NoSuchTask"}, "none": {"bonus": "none"}}
     places = {"runs": tmp_path / "runs", "out": tmp_path / "out"}
-    assert run_study(replace(study, seeds=1), **places, engine=engine) == 1
-    assert [row["agent"] for row in table(tmp_path / "out")] == ["none"]
+    engine = cluster.engine()
+    assert run_study(replace(study, tasks=study.tasks[:1], agents=agents), **places, engine=engine)
+    assert [row["agent"] for row in read_table(tmp_path / "out.csv")] == ["none"]
+
+
+def write(folder, *, table, curves="step\n1\n", progress="step,time/steps_per_second\n20,1.0\n"):
+    run = folder / "runs" / "pendulum" / "none" / "seed0"
+    run.mkdir(parents=True)
+    (folder / "out.csv").write_text(table)
+    (folder / "out_curves.csv").write_text(curves)
+    (run / "progress.csv").write_text(progress)
+
+
+SAME = {"table": "return,wall_seconds\n" + 4 * "1.5,3.0\n"}
+
+
+@pytest.mark.parametrize(
+    ("other", "is_sound"),
+    [
+        ({}, True),
+        ({"table": "return,wall_seconds\n" + 4 * "1.5,9.0\n"}, True),  # slower
+        ({"table": "return,wall_seconds\n" + 3 * "1.5,3.0\n" + "1.6,3.0\n"}, False),
+        ({"table": "return,wall_seconds\n" + 3 * "1.5,3.0\n"}, False),  # lost
+        ({"table": "return,wall_seconds\n" + 5 * "1.5,3.0\n"}, False),  # there twice
+        ({"curves": "step\n2\n"}, False),
+        ({"progress": "step,time/steps_per_second\n20,2.0\n"}, True),
+        ({"progress": "step,time/steps_per_second\n40,1.0\n"}, False),
+        ({"progress": "step,time/steps_per_second\n20,1.0\n20,1.0\n"}, False),
+    ],
+)
+def test_whatever_differs_but_for_times_is_counted(tmp_path, other, is_sound):
+    write(tmp_path / "local", **SAME)
+    write(tmp_path / "ray", **SAME | other)
+    assert compare(make_study(1, 60), tmp_path, LOSSES).is_sound == is_sound
+    assert not compare(make_study(1, 60), tmp_path, LOSSES[:2]).is_sound
+
+
+def test_the_page_tells_what_was_killed_and_how_much_is_equal(tmp_path):
+    for side in ("local", "ray"):
+        write(tmp_path / side, **SAME)
+    text = page(compare(make_study(1, 60), tmp_path, LOSSES), "python it.py")
+    assert "| node | 1 | 0 | pendulum/none/seed0 at step 40 |" in text
+    assert "4 of 4 rows are equal" in text and "python it.py" in text
+
+
+def test_processes_are_at_work_that_hold_a_run_with_a_step(tmp_path):
+    begun, new = (tmp_path / name for name in ("begun", "new"))
+    for folder, rows in ((begun, "step\n20\n"), (new, "step\n")):
+        folder.mkdir()
+        (folder / "progress.csv").write_text(rows)
+    leases = [Lease(begun), Lease(new)]
+    assert working(tmp_path) == {os.getpid(): begun}
+    for lease in leases:
+        lease.release()
+    assert working(tmp_path) == {}
