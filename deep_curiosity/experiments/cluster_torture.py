@@ -207,6 +207,8 @@ class Comparison:
         cells: Of the progress.csv of all runs.
         equal_cells: Those that are as on this machine.
         losses: What was killed.
+        differing: Columns of the table that are not equal everywhere, such as the commit where
+            that has changed meanwhile.
     """
 
     runs: int
@@ -217,6 +219,7 @@ class Comparison:
     cells: int
     equal_cells: int
     losses: Sequence[Loss]
+    differing: Sequence[str]
 
     @property
     def is_sound(self) -> bool:
@@ -271,12 +274,14 @@ def compare(study: Study, folder: Path, losses: Sequence[Loss]) -> Comparison:
         ]
         for side in sides
     ]
+    pairs = [*zip(*tables, strict=False)]
     return Comparison(
         len(study.tasks) * len(study.agents) * study.seeds,
         *_count_equal(*tables),
         *_count_equal(*curves),
         *_count_equal(*cells),
         losses,
+        sorted({name for one, other in pairs for name in one if one[name] != other.get(name)}),
     )
 
 
@@ -302,6 +307,7 @@ def page(comparison: Comparison, command: str) -> str:
         for loss in comparison.losses
     ]
     header = ["killed", "after, s", "runs finished by then", "runs cut off"]
+    differing = f"\nColumns that differ: {', '.join(comparison.differing)}.\n"
     return f"""{TITLE}
 
 {comparison.runs} runs on the engine `local`, then on a Ray cluster of two nodes on this machine,
@@ -312,7 +318,7 @@ whose workers and second node were killed (SIGKILL) at random moments:
 Of the table, a row for each run, {comparison.equal_rows} of {comparison.rows} rows are equal to
 the last digit, of the learning curves {comparison.equal_points} of {comparison.points} points, of
 `progress.csv` of all runs {comparison.equal_cells} of {comparison.cells} cells, times aside.
-
+{differing if comparison.differing else ""}
 ```sh
 {command}
 ```

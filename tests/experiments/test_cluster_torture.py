@@ -95,6 +95,15 @@ def test_the_page_tells_what_was_killed_and_how_much_is_equal(tmp_path):
     text = page(compare(make_study(1, 60), tmp_path, LOSSES), "python it.py")
     assert "| node | 1 | 0 | pendulum/none/seed0 at step 40 |" in text
     assert "4 of 4 rows are equal" in text and "python it.py" in text
+    assert "Columns that differ" not in text
+
+
+def test_columns_of_the_table_that_differ_are_named(tmp_path):
+    write(tmp_path / "local", table="return,commit,wall_seconds\n1.5,a,3.0\n")
+    write(tmp_path / "ray", table="return,commit,wall_seconds\n1.5,b,9.0\n")
+    comparison = compare(make_study(1, 60), tmp_path, LOSSES)
+    assert comparison.differing == ["commit"]
+    assert "Columns that differ: commit." in page(comparison, "python it.py")
 
 
 def test_processes_are_at_work_that_hold_a_run_with_a_step(tmp_path):
