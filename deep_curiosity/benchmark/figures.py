@@ -96,20 +96,30 @@ def plot_vector(path: Path, rows: Sequence[Row]) -> None:
     figure = Figure(figsize=(3.6 * len(tasks), 3.4), layout="constrained")
     panels = figure.subplots(1, len(tasks), squeeze=False, sharey=True)[0]
     for axes, ((task,), own) in zip(panels, tasks.items(), strict=True):
-        _plot_vector_rates(axes, own)
+        _plot_vector_rates(axes, own, {"native": "native", "sync": "SyncVectorEnv"})
         axes.set_title(str(task), fontsize=9)
     panels[0].set_ylabel("environment steps per second")
     figure.savefig(path, dpi=120)
 
 
-def _plot_vector_rates(axes: Axes, rows: Sequence[Row]) -> None:
-    """Rates of one task against the number of environments."""
+def plot_slow(path: Path, rows: Sequence[Row]) -> None:
+    """A panel for each sleep: steps per second of all environments, in processes and in one."""
+    sleeps = grouped(rows, "sleep_ms")
+    figure = Figure(figsize=(4.6 * len(sleeps), 3.4), layout="constrained")
+    panels = figure.subplots(1, len(sleeps), squeeze=False, sharey=True)[0]
+    for axes, ((sleep,), own) in zip(panels, sleeps.items(), strict=True):
+        _plot_vector_rates(axes, own, {"async": "a process each", "sync": "one by one"})
+        axes.set_title(f"a step sleeps {sleep:g} ms", fontsize=9)
+    panels[0].set_ylabel("environment steps per second")
+    figure.savefig(path, dpi=120)
+
+
+def _plot_vector_rates(axes: Axes, rows: Sequence[Row], labels: Mapping[str, str]) -> None:
+    """Rates against the number of environments, of two ways: what is shown, and what it beats."""
     groups = grouped(rows, "num_envs")
     numbers = [float(str(number)) for (number,) in groups]
-    for column, label, color in (
-        ("native_steps_per_second", "native", HIGHLIGHT),
-        ("sync_steps_per_second", "SyncVectorEnv", GREY),
-    ):
+    for (name, label), color in zip(labels.items(), (HIGHLIGHT, GREY), strict=True):
+        column = f"{name}_steps_per_second"
         rates = [[row[column] for row in own] for own in groups.values()]
         middle = np.median(rates, axis=1)
         axes.errorbar(

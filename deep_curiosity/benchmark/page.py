@@ -233,6 +233,34 @@ step in which its episode ends.
 """
 
 
+def slow_section(out: Path) -> str:
+    """A task whose step waits, in processes and one after another."""
+    rows = read_rows(out / "slow.csv")
+    lines = [
+        [
+            f"{sleep:g}",
+            f"{num:.0f}",
+            summarize(own, "async_steps_per_second"),
+            summarize(own, "sync_steps_per_second"),
+            summarize(own, ratio("async_steps_per_second", "sync_steps_per_second")),
+        ]
+        for (sleep, num), own in grouped(rows, "sleep_ms", "num_envs").items()
+    ]
+    header = ["a step sleeps, ms", "environments", "a process each", "one by one", "ratio"]
+    return f"""## Slow environments
+
+Environment steps per second, of all environments together under random actions, of a task whose
+step sleeps before it is taken: `--vectorization async` beside `sync`, as runs have them. No agent
+learns meanwhile. What is missing to a step for every sleep is the way to a process and back, and
+whatever else the machine does. What sleeps needs no core, so there may be more processes than
+cores; a simulator that computes gains up to the number of cores.
+
+![Steps per second against environments](slow.png)
+
+{markdown_table(header, lines)}
+"""
+
+
 def adapters_section(out: Path) -> str:
     """What adapters add to the bonus itself."""
     rows = read_rows(out / "adapters.csv")

@@ -15,7 +15,10 @@ from deep_curiosity.benchmark.costs import measure_bonus, measure_devices, measu
 from deep_curiosity.benchmark.own_agent import OwnAgent
 from deep_curiosity.benchmark.runners import Runner, import_runner
 from deep_curiosity.benchmark.switches import measure_switches
-from deep_curiosity.benchmark.vector import measure_vector_environments
+from deep_curiosity.benchmark.vector import (
+    measure_slow_environments,
+    measure_vector_environments,
+)
 from deep_curiosity.configuration import Group, setting
 from deep_curiosity.training.config import Config
 
@@ -34,6 +37,8 @@ ADAPTER_CALLS = 50  # in a round: three seconds
 UPDATES = 20  # in a round: a multiple of the interval at which the marginal is renewed
 GPU_BATCHES = (256, 1_024, 4_096)
 VECTOR_STEPS = 2_000  # in a round, of all environments
+SLOW_STEPS = 160  # likewise: ten of each of sixteen, and less than an episode of one
+SLOW_SECONDS = 0.02  # what a slow step waits
 TIMED_TASKS = [  # one of each body: the other tasks move the same ones
     f"deep_curiosity/{name}-v0"
     for name in ("PendulumSwingup", "CartpoleSwingup", "PointMaze", "ReacherSparse")
@@ -57,7 +62,8 @@ class Benchmark(Group):
     out: Path = Path("docs/benchmark")
     """Folder for tables, pictures and their README.md."""
     only: (
-        Literal["agents", "switches", "bonus", "scaling", "vector", "adapters", "cuda"] | None
+        Literal["agents", "switches", "bonus", "scaling", "vector", "slow", "adapters", "cuda"]
+        | None
     ) = None
     """One section; the page keeps what is there of the others."""
     peers: dict[str, str] = field(default_factory=dict)
@@ -154,6 +160,14 @@ def measure_vector(benchmark: Benchmark) -> Tables:
     return {"vector": rows}
 
 
+def measure_slow(benchmark: Benchmark) -> Tables:
+    """A task whose step waits, each environment in a process, and one after another."""
+    rows = measure_slow_environments(
+        TIMED_TASKS[0], SLOW_SECONDS, repeats=benchmark.repeats, steps=SLOW_STEPS
+    )
+    return {"slow": rows}
+
+
 def measure_all_adapters(benchmark: Benchmark) -> Tables:
     """What an adapter costs beyond the bonus itself."""
     try:
@@ -194,6 +208,7 @@ SECTIONS = {
     "bonus": Section(measure_full_bonus, page.bonus_section, {"bonus": figures.plot_bonus}),
     "scaling": Section(measure_scaling, page.growth_section, {"scaling": figures.plot_growth}),
     "vector": Section(measure_vector, page.vector_section, {"vector": figures.plot_vector}),
+    "slow": Section(measure_slow, page.slow_section, {"slow": figures.plot_slow}),
     "adapters": Section(measure_all_adapters, page.adapters_section),
     "cuda": Section(
         measure_cuda,

@@ -23,6 +23,14 @@ def write_table(
         writer.writerows([[_short(row.get(name, "")) for name in names] for row in rows])
 
 
+def read_table(path: Path) -> list[dict[str, str]]:
+    """Rows of a CSV as they are written; none where there is no file."""
+    if not path.exists():
+        return []
+    with path.open(newline="") as file:
+        return [*csv.DictReader(file)]
+
+
 def check_page(folder: Path, title: str) -> None:
     """Refuse a folder whose page or tables are of something else.
 

@@ -81,13 +81,15 @@ def tune(
             raise ValueError(f"`{name}` must be at least 1, got {number}.")
     study = open_study(search, runs, storage, pruner)
     with terminated_like_interrupted(), engine:
-        while count_ended(study) < trials:
-            wanted = min(at_once, trials - count_ended(study))
+        while (ended := count_ended(study)) < trials:
+            if ended:
+                write_search(study, out)
+            wanted = min(at_once - ended % at_once, trials - ended)  # what is left of a batch
             batch = [_Trial(search, each, runs) for each in ask(study, search, wanted, seed)]
             run_batch(batch, engine)
             for trial in batch:
                 trial.tell(study)
-            write_search(study, out)
+    write_search(study, out)
     return study
 
 
@@ -145,21 +147,22 @@ def count_ended(study: optuna.Study) -> int:
 
 
 def ask(study: optuna.Study, search: Search, wanted: int, seed: int) -> list[optuna.trial.Trial]:
-    """Trials to compute next: first those that were cut off.
+    """Trials to compute next: first those that were cut off, wherever that was.
 
-    Every trial has a sampler of its own, seeded by its number, so that what it tries does not
-    depend on how often the search was cut off before.
+    Every setting of a trial is drawn by a sampler of its own, seeded by its place, so that what is
+    tried does not depend on how often the search was cut off before, in the midst of a trial too.
     """
     open_trials = study.get_trials(deepcopy=False, states=(TrialState.RUNNING,))
     trials = []
     for number in range(count_ended(study), count_ended(study) + wanted):
-        study.sampler = optuna.samplers.TPESampler(seed=seed + number)
         if open_trials:
             trial = optuna.trial.Trial(study, open_trials.pop(0)._trial_id)
-            for name, distribution in search.space.items():
-                trial._suggest(name, distribution)  # reads what was chosen
         else:
-            trial = study.ask(dict(search.space))
+            trial = study.ask()
+        for place, (name, distribution) in enumerate(search.space.items()):
+            entropy = np.random.SeedSequence([seed, number, place])
+            study.sampler = optuna.samplers.TPESampler(seed=int(entropy.generate_state(1)[0]))
+            trial._suggest(name, distribution)  # reads what was drawn before
         trials.append(trial)
     return trials
 

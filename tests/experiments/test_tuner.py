@@ -1,6 +1,7 @@
 """Trials are computed in this process, by a stand-in for training whose returns are a formula."""
 
 import csv
+import itertools
 import json
 import math
 from concurrent.futures import ThreadPoolExecutor
@@ -129,6 +130,43 @@ def test_a_search_that_is_cut_off_twice_ends_with_the_same_trials(
     assert told(cut) == told(whole)
     assert "PRUNED" in {state for _, state, *_ in told(whole)}
     assert search_in(tmp_path / "cut").best_value == whole.best_value  # nothing is left to do
+
+
+def interrupting(function, at):
+    """The same function, in which its user presses Ctrl-C at one of its calls."""
+    numbers = itertools.count(1)
+
+    def interrupted(*arguments):
+        if next(numbers) == at:
+            raise KeyboardInterrupt
+        return function(*arguments)
+
+    return interrupted
+
+
+@pytest.mark.parametrize(
+    ("owner", "name", "at"), [(optuna.trial.Trial, "_suggest", 4), (tuner._Trial, "tell", 12)]
+)
+def test_a_search_that_is_cut_off_between_two_settings_or_trials_ends_with_the_same_trials(
+    search_in, calls, tmp_path, monkeypatch, owner, name, at
+):
+    whole = search_in(tmp_path / "whole", trials=14, at_once=2)
+    monkeypatch.setattr(owner, name, interrupting(getattr(owner, name), at))
+    with pytest.raises(KeyboardInterrupt):
+        search_in(tmp_path / "cut", trials=14, at_once=2)
+    assert told(search_in(tmp_path / "cut", trials=14, at_once=2)) == told(whole)
+
+
+def test_a_search_that_is_cut_off_before_it_writes_its_last_trial_writes_it_when_it_is_continued(
+    search_in, calls, tmp_path, monkeypatch
+):
+    written = interrupting(tuner.write_search, at=3)
+    monkeypatch.setattr(tuner, "write_search", written)
+    with pytest.raises(KeyboardInterrupt):
+        search_in(tmp_path, trials=3)
+    search_in(tmp_path, trials=3)
+    with (tmp_path / "out" / "best.csv").open() as file:
+        assert len([*csv.DictReader(file)]) == 3
 
 
 def test_a_poor_trial_is_stopped_and_none_where_none_may_be(search_in, calls, tmp_path):
