@@ -156,7 +156,7 @@ class Killer(threading.Thread):
         if not processes:
             return False
         lost = processes if kind == "node" else [self._chance.choice(processes)]
-        told = ", ".join(_told(self._runs, workers[process]) for process in lost)
+        lost_runs = ", ".join(_described(self._runs, workers[process]) for process in lost)
         finished = sum(1 for _ in self._runs.rglob(SUMMARY))
         moment = time.monotonic() - self._begun
         if kind == "node":
@@ -164,11 +164,11 @@ class Killer(threading.Thread):
         else:
             with suppress(ProcessLookupError):
                 os.kill(lost[0], signal.SIGKILL)
-        self.losses.append(Loss(kind, moment, finished, told))
+        self.losses.append(Loss(kind, moment, finished, lost_runs))
         return True
 
 
-def _told(runs: Path, folder: Path) -> str:
+def _described(runs: Path, folder: Path) -> str:
     return f"{folder.relative_to(runs)} at step {latest_step(folder)}"
 
 
