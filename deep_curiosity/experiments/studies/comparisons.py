@@ -76,7 +76,7 @@ GOALS = [
 
 STUDIES = {
     "goals": Study(GOALS, CURIOSITY, seeds=10, curves=True),
-    "sparse": Study([PENDULUM, MAZE], CURIOSITY | PLAIN, curves=True),
+    "sparse": Study([PENDULUM, _halved(MAZE)], CURIOSITY | PLAIN, seeds=10, curves=True),
     "control": Study([PENDULUM, MAZE], {"constant bonus": {"bonus": "constant"}}, curves=True),
     "subsampling": Study(
         [_halved(PENDULUM), _halved(MAZE)],
