@@ -1,3 +1,4 @@
+import csv
 from pathlib import Path
 
 from stable_baselines3 import PPO, SAC
@@ -19,3 +20,12 @@ def test_the_blocks_run_as_written():
 def test_three_lines_are_shown_for_each_kind_of_agent():
     marked = [line[-3:] for line in PAGE.read_text().splitlines() if line[-3:-1] == "# "]
     assert marked == ["# 1", "# 2", "# 3"] * 2
+
+
+def test_returns_of_tqc_are_those_of_its_runs():
+    with PAGE.with_name("tqc.csv").open() as file:
+        runs = list(csv.DictReader(file))
+    section = PAGE.read_text().partition("## A modern agent: TQC")[2].partition("\n## ")[0]
+    assert len(runs) == 2
+    for run in runs:
+        assert run["evaluation_return"] in section
