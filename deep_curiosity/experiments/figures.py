@@ -1,5 +1,6 @@
 """Figures of studies: learning curves, and what was measured, with intervals over seeds."""
 
+import math
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,15 +13,17 @@ from deep_curiosity.experiments.statistics import Estimate, Groups, bootstrap
 from deep_curiosity.experiments.study import Row, Study
 from deep_curiosity.experiments.tables import select
 
+PANELS_PER_ROW = 3
 LABEL_GAP = 0.06  # of the height of a panel, between two labels beside the curves
 
 
 def plot_curves(path: Path, study: Study, rows: Sequence[Row], curves: Sequence[Row]) -> None:
     """A panel for each task: interquartile mean of every agent, and its 95 % interval."""
-    figure = Figure(figsize=(5.6 * len(study.tasks), 3.9), layout="constrained")
-    for axes, task in zip(
-        figure.subplots(1, len(study.tasks), squeeze=False)[0], study.tasks, strict=True
-    ):
+    num_columns = min(len(study.tasks), PANELS_PER_ROW)
+    num_rows = math.ceil(len(study.tasks) / num_columns)
+    figure = Figure(figsize=(5.6 * num_columns, 3.9 * num_rows), layout="constrained")
+    for panel, task in enumerate(study.tasks, 1):
+        axes = figure.add_subplot(num_rows, num_columns, panel)
         ends = {}
         for number, agent in enumerate(study.agents):
             solved = select(rows, "solved", **{"task": task.name, study.label: agent})
@@ -33,6 +36,7 @@ def plot_curves(path: Path, study: Study, rows: Sequence[Row], curves: Sequence[
         if task.solved_return == task.solved_return:
             axes.axhline(task.solved_return, color="grey", linestyle=":", linewidth=1)
         axes.set(title=task.name, xlabel="environment steps", ylabel="evaluation return")
+        axes.locator_params(axis="x", nbins=5)
         label_beside(axes, ends)
     figure.savefig(path, dpi=120)
 
