@@ -83,7 +83,7 @@ def test_the_extra_for_training_is_all_that_training_and_the_command_line_need()
         foreign = {
             f"deep_curiosity.experiments.studies.{name}"
             for name in ("stable_baselines3", "torchrl", "searches")
-        } | {"deep_curiosity.experiments.tuner"}
+        } | {f"deep_curiosity.experiments.{name}" for name in ("tuner", "tuner_torture")}
         assert not any(own[name] for name in own.keys() - foreign), own
 
 

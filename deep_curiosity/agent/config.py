@@ -19,6 +19,9 @@ TEMPERATURES = (
     1e-10,
     1e10,
 )  # beyond which a tuned one does not go, so that float32 holds its terms
+MOST_RATE = (
+    1e6  # nats; the agent, which knows its actions, allows ten for each of their dimensions
+)
 MOST_HUNGER = 1e6  # of which float32 still resolves a curiosity value beside it
 
 HungerSource = Literal["fixed", "random", "bandit", "battery"]
@@ -147,7 +150,7 @@ class AgentConfig(Group):
     """Price of a nat, lambda: a number is where it starts, from which it is tuned to hold the
     target information rate; constant:0.02 stays; linear:0.02:0.002, exponential:... or
     plateaus:... go with time."""
-    target_information_rate: float | None = setting(None, above=0)
+    target_information_rate: float | None = setting(None, above=0, at_most=MOST_RATE)
     """Nats per action by which the policy may differ from the prior; by default 1.69 (uniform) or
     1 (learned) for each action dimension."""
     learning_rate: float = setting(1e-3, above=0, at_least=LEAST_LEARNING_RATE, at_most=1)

@@ -72,6 +72,10 @@ def test_an_unknown_source_of_hunger_is_refused():
         ({"temperature": "constant:-1"}, "`temperature` cannot be read.*positive, got -1.0"),
         ({"target_information_rate": math.nan}, "`target_information_rate` must be finite"),
         ({"learning_rate": 0.0}, "`learning_rate` must be positive, got 0.0"),
+        (
+            {"target_information_rate": 1e300},
+            "`target_information_rate` must be at most 1000000.0",
+        ),
         ({"polyak": 1.5}, "`polyak` must be at most 1, got 1.5"),
         ({"curiosity_coefficient": -1.0}, "`curiosity_coefficient` must not be negative, got -1"),
         ({"curiosity_coefficient": "much"}, "`curiosity_coefficient` must be .*'adaptive', got"),
