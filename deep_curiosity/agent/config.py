@@ -19,9 +19,7 @@ TEMPERATURES = (
     1e-10,
     1e10,
 )  # beyond which a tuned one does not go, so that float32 holds its terms
-MOST_RATE = (
-    1e6  # nats; the agent, which knows its actions, allows ten for each of their dimensions
-)
+MOST_RATE = 1e6  # nats; what its actions allow is less, and known to the agent alone
 MOST_HUNGER = 1e6  # of which float32 still resolves a curiosity value beside it
 
 HungerSource = Literal["fixed", "random", "bandit", "battery"]

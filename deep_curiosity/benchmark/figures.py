@@ -92,25 +92,28 @@ def plot_power(axes: Axes, rows: Sequence[Row], over: str, column: str, label: s
 
 def plot_vector(path: Path, rows: Sequence[Row]) -> None:
     """A panel for each task: steps per second of all environments, native and Gymnasium's."""
-    tasks = grouped(rows, "task")
-    figure = Figure(figsize=(3.6 * len(tasks), 3.4), layout="constrained")
-    panels = figure.subplots(1, len(tasks), squeeze=False, sharey=True)[0]
-    for axes, ((task,), own) in zip(panels, tasks.items(), strict=True):
-        _plot_vector_rates(axes, own, {"native": "native", "sync": "SyncVectorEnv"})
-        axes.set_title(str(task), fontsize=9)
-    panels[0].set_ylabel("environment steps per second")
-    figure.savefig(path, dpi=120)
+    panels = {str(task): own for (task,), own in grouped(rows, "task").items()}
+    _plot_vector_panels(path, panels, {"native": "native", "sync": "SyncVectorEnv"}, width=3.6)
 
 
 def plot_slow(path: Path, rows: Sequence[Row]) -> None:
     """A panel for each sleep: steps per second of all environments, in processes and in one."""
-    sleeps = grouped(rows, "sleep_ms")
-    figure = Figure(figsize=(4.6 * len(sleeps), 3.4), layout="constrained")
-    panels = figure.subplots(1, len(sleeps), squeeze=False, sharey=True)[0]
-    for axes, ((sleep,), own) in zip(panels, sleeps.items(), strict=True):
-        _plot_vector_rates(axes, own, {"async": "a process each", "sync": "one by one"})
-        axes.set_title(f"a step sleeps {sleep:g} ms", fontsize=9)
-    panels[0].set_ylabel("environment steps per second")
+    panels = {
+        f"a step sleeps {sleep:g} ms": own for (sleep,), own in grouped(rows, "sleep_ms").items()
+    }
+    _plot_vector_panels(path, panels, {"async": "a process each", "sync": "one by one"}, width=4.6)
+
+
+def _plot_vector_panels(
+    path: Path, panels: Mapping[str, Sequence[Row]], labels: Mapping[str, str], *, width: float
+) -> None:
+    """Rates of two ways in a panel for each title, `width` inches wide."""
+    figure = Figure(figsize=(width * len(panels), 3.4), layout="constrained")
+    all_axes = figure.subplots(1, len(panels), squeeze=False, sharey=True)[0]
+    for axes, (title, own) in zip(all_axes, panels.items(), strict=True):
+        _plot_vector_rates(axes, own, labels)
+        axes.set_title(title, fontsize=9)
+    all_axes[0].set_ylabel("environment steps per second")
     figure.savefig(path, dpi=120)
 
 

@@ -1,26 +1,21 @@
 """Tables of what was measured: rows read from CSV files, and medians and ranges of them."""
 
-import csv
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from deep_curiosity.benchmark.agents import Row
-from deep_curiosity.experiments.tables import median_and_range
+from deep_curiosity.experiments.tables import median_and_range, read_table
 
 Key = tuple[object, ...]
 
 
 def read_rows(path: Path) -> list[Row]:
     """Rows of a CSV, numbers as such; none where there is no file."""
-    if not path.exists():
-        return []
-    with path.open(newline="") as file:
-        return [
-            {name: _number_or_text(value) for name, value in row.items()}
-            for row in csv.DictReader(file)
-        ]
+    return [
+        {name: _number_or_text(value) for name, value in row.items()} for row in read_table(path)
+    ]
 
 
 def _number_or_text(value: str) -> float | str:

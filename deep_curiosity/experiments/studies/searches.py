@@ -1,4 +1,4 @@
-"""Searches for settings, made by `scripts/tune.py NAME`."""
+"""Searches for settings, made by `deep-curiosity tune NAME`."""
 # ruff: noqa: E402  # what is missing is reported before anything needs it
 
 from deep_curiosity.requirements import require
