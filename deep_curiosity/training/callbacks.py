@@ -8,9 +8,9 @@ Callback = Callable[[int, Mapping[str, float]], bool | None]
 is not known, such as the success rate of a task that defines none, is NaN."""
 
 
-def call(callback: Callback | None, step: int, values: Mapping[str, float]) -> bool:
-    """Tell a callback; whether it asks to stop, which only `True` and its like do."""
-    return callback is not None and bool(callback(step, values))
+def call(callback: Callback | None, step: int, values: Mapping[str, float] | None) -> bool:
+    """Tell a callback, if there is news; whether it asks to stop, as `True` and its like do."""
+    return callback is not None and values is not None and bool(callback(step, values))
 
 
 def stop_when_solved(solved_return: float) -> Callback:

@@ -25,6 +25,10 @@ GoalFunction = Callable[[NDArray[Any], NDArray[Any]], NDArray[Any]]
 TOLERANCE = 1e-3  # of a reward that is computed once more, from goals that may be float32
 
 
+class GoalFunctionError(ValueError):
+    """A function of goals, which the environment has, failed or gave what is no number."""
+
+
 class Hindsight:
     """Puts other goals into a share of every batch: what was achieved later in the same episode.
 
@@ -73,7 +77,7 @@ class Hindsight:
             slot: Of each row.
 
         Raises:
-            ValueError: If a reward is not finite.
+            GoalFunctionError: If a function of goals raises, or does not give finite numbers.
         """
         number = round(self.share * alive.shape[1])
         goal = replay.sample_later(slot[:number]).next_observation[:, self._achieved]
@@ -85,10 +89,12 @@ class Hindsight:
         steps.next_observation[..., self._desired] = goal
         goals = [self._in_task(steps.next_observation, self._achieved)]
         goals += [self._in_task(steps.next_observation, self._desired)]
-        steps.reward[:] = _like(steps.reward, _finite(self.compute_reward(*goals)))
+        steps.reward[:] = _numbers("compute_reward", self.compute_reward, goals, steps.reward)
         if self.compute_terminated is None:
             return sequences
-        steps.terminated[:] = _like(steps.terminated, self.compute_terminated(*goals))
+        steps.terminated[:] = _numbers(
+            "compute_terminated", self.compute_terminated, goals, steps.terminated
+        )
         ends = sequences.steps.terminated.unflatten(0, alive.shape)[:-1]
         goes_on = torch.cat([torch.ones_like(alive[:1]), ~ends]).cumprod(0).bool()
         return Sequences(sequences.steps, alive & goes_on)
@@ -207,14 +213,22 @@ def _goal_function(
     return at_once if is_same else one_by_one
 
 
-def _finite(reward: NDArray[Any]) -> NDArray[np.float32]:
-    with np.errstate(over="ignore"):  # what is too large becomes infinite, and is refused
-        value = reward.astype(np.float32)
-    if not np.isfinite(value).all():
-        raise ValueError(f"`compute_reward` must be finite, got {value[~np.isfinite(value)][0]}.")
-    return value
+def _numbers(name: str, function: GoalFunction, goals: list[NDArray[Any]], like: Tensor) -> Tensor:
+    """What a function gives for goals, in the shape and on the device of a tensor.
 
-
-def _like(tensor: Tensor, value: NDArray[Any]) -> Tensor:
-    """Numbers in the shape and on the device of a tensor."""
-    return torch.from_numpy(value).to(tensor).reshape(tensor.shape)
+    Raises:
+        GoalFunctionError: If it raises, or does not give a finite number for each pair.
+    """
+    try:
+        with np.errstate(over="ignore"):  # what is too large becomes infinite, and is refused
+            value = np.asarray(function(*goals)).astype(np.float32)
+        numbers = torch.from_numpy(value).reshape(like.shape)
+    except Exception as error:
+        raise GoalFunctionError(
+            f"`{name}` must give a number for each pair of goals, got "
+            f"{type(error).__name__}: {error}"
+        ) from error
+    if not numbers.isfinite().all():
+        broken = numbers[~numbers.isfinite()][0].item()
+        raise GoalFunctionError(f"`{name}` must be finite, got {broken}.")
+    return numbers.to(like)

@@ -86,7 +86,8 @@ def train(
                     # (d) Choose an action, obtain reward and next state; both are kept as they are
                     if run.action is None:  # else it was stopped in this step
                         observation = collector.observation
-                        learner.before_step(run_log.step, observation, collector.present_info)
+                        with run.saved_on_error():  # of a hunger function
+                            learner.before_step(run_log.step, observation, collector.present_info)
                         run.action = learner.act(observation, explore_uniformly=uniform)
                     finished = run.collect()
                     run_log.on_step(collector.info)
@@ -96,20 +97,21 @@ def train(
 
                     # (a, b, c, e) Renew model, p(x'), values, policy, p(a) and temperature
                     if learning:
-                        for _ in range(run.updates_due):
-                            run.metrics = learner.update()
+                        run.learn()
                         run_log.on_learned(num_envs, time.perf_counter() - step_started)
                     run.unrecorded = True
 
-                # Evaluate without noise, log, keep a checkpoint
+                # Evaluate without noise, log, tell the caller, keep a checkpoint
+                evaluation = row = None
                 if run.reached(course.evaluation_interval) or run.all_steps_taken:
                     evaluation = run.evaluate()
-                    interruption.requested |= call(on_evaluation, run_log.step, evaluation)
                 if run.metrics and (run.reached(course.log_interval) or run.all_steps_taken):
-                    values = run.progress()
-                    interruption.requested |= call(on_log, run_log.step, values)
-                    bar.set_postfix_str(_postfix(values), refresh=False)
+                    row = run.progress()
+                    bar.set_postfix_str(_postfix(row), refresh=False)
                 run.unrecorded = False
+                with run.saved_on_error():
+                    interruption.requested |= call(on_evaluation, run_log.step, evaluation)
+                    interruption.requested |= call(on_log, run_log.step, row)
                 if run.reached(course.checkpoint_interval):
                     run.save()
                 bar.update(min(run_log.step, course.total_steps) - bar.n)

@@ -52,7 +52,7 @@ from deep_curiosity.training.environments import (
     task_spaces,
 )
 from deep_curiosity.training.failure import close_at_once, environment_failure
-from deep_curiosity.training.hindsight import make_hindsight
+from deep_curiosity.training.hindsight import GoalFunctionError, make_hindsight
 from deep_curiosity.training.hunger import HungerFunction
 from deep_curiosity.training.interruption import Interrupted, is_interrupted
 from deep_curiosity.training.learner import Learner, compiles, compiles_from
@@ -173,22 +173,53 @@ class Run:
         self.log.scalars(self.run_log.step, values)
         return values
 
+    def learn(self) -> None:
+        """Update as often as the newest steps call for.
+
+        Raises:
+            DivergedError: If a loss is not finite when the run is saved.
+            EnvironmentFailedError: If its `compute_reward` fails on a goal in hindsight; the steps
+                are saved, and the updates that they still call for are left out.
+        """
+        with self._saved_on_failure("an update", GoalFunctionError):
+            for _ in range(self.updates_due):
+                self.metrics = self.learner.update()
+
     @contextmanager
-    def _saved_on_failure(self, activity: str) -> Iterator[None]:
+    def _saved_on_failure(
+        self, activity: str, errors: type[Exception] = Exception
+    ) -> Iterator[None]:
         """Save before an error of the environment is raised again, with what there is to do."""
         try:
             yield
-        except Exception as error:
+        except errors as error:
             if is_interrupted():  # its processes may have heard the same signal
                 raise Interrupted from error
-            try:
-                self.save()
-                kept = f"all up to step {self.run_log.step} is saved"
-            except OSError as unsaved:
-                kept = f"{unsaved}; step {self.saved_step} is saved"
             raise environment_failure(
-                self.config, error, activity, step=self.run_log.step, kept=kept
+                self.config,
+                error,
+                activity,
+                step=self.run_log.step,
+                kept=self._save_what_is_left(),
             ) from error
+
+    @contextmanager
+    def saved_on_error(self) -> Iterator[None]:
+        """Save before an error of the caller's own function goes on, with a note that says so."""
+        try:
+            yield
+        except Exception as error:
+            out = self.config.run.out
+            error.add_note(f"{self._save_what_is_left()}; continue with --resume {out}.")
+            raise
+
+    def _save_what_is_left(self) -> str:
+        """Save after an error; what is kept, in words."""
+        try:
+            self.save()
+        except OSError as unsaved:
+            return f"{unsaved}; step {self.saved_step} is saved"
+        return f"all up to step {self.run_log.step} is saved"
 
     def progress(self) -> dict[str, float]:
         """Write down everything there is to tell at this step, and return it.

@@ -1,3 +1,4 @@
+import itertools
 import json
 import math
 
@@ -74,3 +75,31 @@ def test_all_callbacks_in_turn_are_told_and_any_of_them_stops():
     assert in_turn(note(True), None, note(False))(7, {})
     assert not in_turn(note(None), note(False))(8, {})
     assert told == [(7, True), (7, False), (8, None), (8, False)]
+
+
+@pytest.mark.parametrize(
+    ("name", "fails_at"), [("on_evaluation", 40), ("on_log", 40), ("hunger", 33)]
+)
+def test_an_error_of_the_callers_own_function_loses_nothing(tiny, tmp_path, name, fails_at):
+    whole = tiny.override(learning_starts=10, out=tmp_path / "whole", log_interval=5)
+    halted = whole.override(out=tmp_path / "halted")
+    steps = itertools.count()  # at which a hunger function is asked
+
+    def works(*_):
+        return None if name.startswith("on_") else 1.0
+
+    def fails(step, values):
+        if (step if name.startswith("on_") else next(steps)) >= fails_at:
+            raise ConnectionError("the service is down")
+        return works()
+
+    train(whole, show_progress=False, **{name: works})
+    with pytest.raises(ConnectionError, match="service") as raised:
+        train(halted, show_progress=False, **{name: fails})
+    (note,) = raised.value.__notes__
+    assert note == f"all up to step {fails_at} is saved; continue with --resume {halted.run.out}."
+    continue_run(halted.run.out, show_progress=False, **{name: works})
+    rows = [read_progress(config.run.out) for config in (whole, halted)]
+    for row in (row for table in rows for row in table):
+        del row["time/steps_per_second"]
+    assert rows[0] == rows[1]

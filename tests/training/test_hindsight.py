@@ -15,7 +15,8 @@ from deep_curiosity.training import continue_run, train
 from deep_curiosity.training.checkpoint import load_checkpoint
 from deep_curiosity.training.config import EnvironmentConfig
 from deep_curiosity.training.environments import make_environment, task_spaces
-from deep_curiosity.training.hindsight import Hindsight, make_hindsight
+from deep_curiosity.training.failure import EnvironmentFailedError
+from deep_curiosity.training.hindsight import GoalFunctionError, Hindsight, make_hindsight
 from deep_curiosity.training.learner import Learner
 from deep_curiosity.training.spaces import Entry, TaskSpaces
 
@@ -203,6 +204,40 @@ def test_a_real_end_ends_the_sequence_whatever_the_goal():
 def test_a_reward_that_is_not_finite_is_refused():
     hindsight = Hindsight(4, SPACES, lambda *goals: np.full(len(goals[0]), np.nan))
     with pytest.raises(ValueError, match="`compute_reward` must be finite, got nan"):
+        relabelled(hindsight, filled())
+
+
+class FailsLater(Reach):
+    """The same, whose reward fails once enough was asked for."""
+
+    calls = 0
+
+    def compute_reward(self, achieved, desired, info):
+        type(self).calls += 1
+        if self.calls == 60:
+            raise OSError("the table of rewards is gone")
+        return super().compute_reward(achieved, desired, info)
+
+
+def test_a_function_of_goals_that_fails_in_an_update_loses_nothing(tiny):
+    config = own(tiny, total_steps=40)
+    FailsLater.calls = 0
+    with pytest.raises(EnvironmentFailedError, match="an update after step") as raised:
+        train(config, make_env=FailsLater, show_progress=False)
+    assert (
+        "`compute_reward` must give a number for each pair of goals, got OSError: the table"
+        in (str(raised.value))
+    )
+    step = load_checkpoint(config.run.out)["run_log"]["step"]
+    assert f"after step {step}; all up to step {step} is saved" in str(raised.value)
+    summary = continue_run(config.run.out, make_env=FailsLater, show_progress=False)
+    assert summary["total_steps"] == 40
+
+
+@pytest.mark.parametrize("given", [np.ones(2), "no number", None], ids=repr)
+def test_a_function_of_goals_that_gives_no_number_for_each_is_named(given):
+    hindsight = Hindsight(4, SPACES, lambda *goals: given)
+    with pytest.raises(GoalFunctionError, match="`compute_reward` must give a number for each"):
         relabelled(hindsight, filled())
 
 
