@@ -1,0 +1,117 @@
+"""Figures in the text of README.md, each computed anew from the table that it is of."""
+
+import functools
+import statistics
+from pathlib import Path
+
+import pytest
+
+from deep_curiosity.benchmark.tables import grouped, median, rate_over, read_rows
+
+ROOT = Path(__file__).parents[2]
+BENCHMARK = ROOT / "docs/benchmark"
+README = " ".join((ROOT / "README.md").read_text().split())
+HORIZON = "docs/sweeps/horizon.csv"
+
+rows_of = functools.cache(lambda path: read_rows(ROOT / path))
+
+
+def medians(path, key, column):
+    """Median of a column for each value of another."""
+    return {name: median(own, column) for (name,), own in grouped(rows_of(path), key).items()}
+
+
+@functools.cache
+def speeds(folder):
+    """Of every runner, as the table has them: steps per second, and times those of SB3."""
+    rows = rows_of(f"{folder}/agents.csv")
+    times_sb3 = rate_over(rows, "Stable-Baselines3")
+    return {
+        name: (f"{median(own, 'steps_per_second'):.0f}", statistics.median(map(times_sb3, own)))
+        for (name,), own in grouped(rows, "runner").items()
+    }
+
+
+RUNNERS = {
+    "Stable-Baselines3's SAC, as its users run it": "Stable-Baselines3",
+    "the same with the matrix precision of ours": "Stable-Baselines3, our precision",
+    "plain agent (`--bonus none --prior uniform`)": "plain, compiled",
+    "curious agent (five models, two pairs of critics, learned prior)": "curious, compiled",
+    "plain agent, `--preset exact`": "plain, exact, compiled",
+    "curious agent, `--preset exact`": "curious, exact, compiled",
+}
+
+
+@pytest.mark.parametrize("line", RUNNERS)
+def test_the_table_of_speeds_is_that_of_the_benchmark(line):
+    cells = []
+    for folder in ("docs/benchmark", "docs/benchmark/zen4"):
+        rate, times = speeds(folder)[RUNNERS[line]]
+        cells.append(rate if times == 1 else f"{rate} ({times:.2f})")
+    assert f"| {line} | {' | '.join(cells)} |" in README
+
+
+def over_floor(runner):
+    rows = [row for row in rows_of("docs/benchmark/agents.csv") if row["runner"] == runner]
+    return statistics.median(row["update_ms"] / row["floor_ms"] for row in rows)
+
+
+def native_gain():
+    """Least and greatest over tasks, of 64 environments in one call over one by one."""
+    gains = [
+        statistics.median(
+            row["native_steps_per_second"] / row["sync_steps_per_second"] for row in own
+        )
+        for (_, number), own in grouped(
+            rows_of("docs/benchmark/vector.csv"), "task", "num_envs"
+        ).items()
+        if number == 64
+    ]
+    return min(gains), max(gains)
+
+
+def on_gpu(runner):
+    return medians("docs/benchmark/cuda_agents.csv", "runner", "steps_per_second")[runner]
+
+
+def gpu_update(where, batch_size):
+    rows = rows_of("docs/benchmark/cuda_updates.csv")
+    return median(
+        [row for row in rows if (row["where"], row["batch_size"]) == (where, batch_size)],
+        "update_ms",
+    )
+
+
+QUOTES = {
+    "plain agent takes {:.1f} times what its matrix products alone would take there": lambda: [
+        over_floor("plain, compiled")
+    ],
+    "one of the curious agent {:.2f} times": lambda: [over_floor("curious, compiled")],
+    "vector environments of their own, for any agent, {:.1f} to {:.1f} times as fast": native_gain,
+    "the plain agent took {:.0f} steps a second and the curious one {:.0f}, "
+    "Stable-Baselines3's SAC {:.0f}": lambda: [
+        on_gpu("plain, compiled, cuda"),
+        on_gpu("curious, compiled, cuda"),
+        on_gpu("Stable-Baselines3, cuda"),
+    ],
+    "takes {:.1f} ms there at a batch of 256, {:.1f} ms at 4 096": lambda: [
+        gpu_update("GPU, compiled", 256),
+        gpu_update("GPU, compiled", 4_096),
+    ],
+    "whatever their size ({:.0f} ms)": lambda: [gpu_update("GPU, eager", 256)],
+}
+
+
+@pytest.mark.parametrize("quote", QUOTES)
+def test_a_figure_in_the_text_is_that_of_its_table(quote):
+    assert quote.format(*QUOTES[quote]()) in README
+
+
+def test_at_half_the_horizon_the_pendulum_is_never_swung_up():
+    assert "at 0.5 [the pendulum is never swung up]" in README
+    returns = [
+        row["return"]
+        for row in rows_of(HORIZON)
+        if row["task"] == "PendulumSwingup" and row["curiosity discount"] == 0.5
+    ]
+    assert len(returns) >= 5 and max(returns) < 100

@@ -1,0 +1,70 @@
+"""Summaries beside the tables of studies: each is what its rows give today."""
+
+import csv
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from deep_curiosity.experiments.grid import compare
+from deep_curiosity.experiments.studies import find_study
+from deep_curiosity.experiments.tables import summarize
+
+ROOT = Path(__file__).parents[2]
+FOLDERS = ("docs/study", "docs/development", "docs/results")
+TABLES = {  # whose names are not those of their studies
+    "learned_prior": "development",
+}
+
+
+def rows_of(path):
+    with path.open() as file:
+        return [
+            {name: typed(value) for name, value in row.items()} for row in csv.DictReader(file)
+        ]
+
+
+def typed(value):
+    """A number where there is one; nothing where there is nothing."""
+    try:
+        return float(value)
+    except ValueError:
+        return value or None
+
+
+def tables():
+    """Tables that name the commit of each row; older ones were summarised otherwise."""
+    paths = [path for folder in FOLDERS for path in sorted((ROOT / folder).glob("*.csv"))]
+    return {str(path.relative_to(ROOT)): path for path in paths if "commit" in rows_of(path)[0]}
+
+
+def part_with_rows(name, rows):
+    """The study, but for tasks and agents that its table has none of."""
+    study = find_study(name)[1]
+    there = {row["task"] for row in rows}, {str(row[study.label]) for row in rows}
+    return replace(
+        study,
+        tasks=[task for task in study.tasks if task.name in there[0]],
+        agents={agent: own for agent, own in study.agents.items() if str(agent) in there[1]},
+    )
+
+
+@pytest.mark.parametrize("path", tables().values(), ids=tables())
+def test_the_summary_is_that_of_the_rows(path):
+    rows = rows_of(path)
+    for row in rows:  # as it is written where no return counts as solved
+        row["solved"] = "" if row["solved"] is None else int(row["solved"])
+    study = part_with_rows(TABLES.get(path.stem, path.stem), rows)
+    expected = "\n".join([summarize(study, rows), *compare(study, rows)])
+    found = [
+        re.split(r"([-+]?\d[\d.]*(?:e[-+]?\d+)?)", text)
+        for text in (expected.strip(), path.with_suffix(".md").read_text().strip())
+    ]
+    assert found[0][::2] == found[1][::2]
+    numbers = [[float(number) for number in parts[1::2]] for parts in found]
+    assert numbers[0] == pytest.approx(numbers[1], rel=2e-3)  # rows are rounded to six digits
+
+
+def test_there_are_tables_to_look_at():
+    assert {"docs/study/goals.csv", "docs/study/sparse.csv"} <= set(tables())
