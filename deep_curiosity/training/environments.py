@@ -383,7 +383,11 @@ def registered_id(env_id: str) -> str:
         _import_tasks(module, env_id)
     elif name.startswith("dm_control/"):
         require("shimmy", extra="dmc")
-        importlib.import_module("shimmy")  # which registers them
+        with warnings.catch_warnings():  # packages that it imports have filters of their own
+            warnings.filterwarnings(
+                "ignore", module="glfw"
+            )  # of a display, for which nobody asked
+            importlib.import_module("shimmy")  # which registers them
     known = list(gymnasium.registry)
     for candidate in (name, f"deep_curiosity/{name}", f"deep_curiosity/{name}-v0"):
         if candidate in known:

@@ -1,5 +1,6 @@
 import os
 import signal
+import subprocess
 import sys
 from dataclasses import replace
 
@@ -72,6 +73,22 @@ def test_dm_control_dictionaries_become_vectors():
     again, _ = environment.reset(seed=3)
     assert observation.shape == (3,)
     assert np.array_equal(observation, again)
+
+
+def test_dm_control_is_imported_without_a_word_and_leaves_warnings_as_they_were():
+    pytest.importorskip("shimmy")
+    pytest.importorskip("dm_control")
+    program = """
+import warnings
+from deep_curiosity.training.environments import registered_id
+before = list(warnings.filters)
+print(registered_id("dm_control/pendulum-swingup-v0"), warnings.filters == before)
+"""
+    headless = {name: os.environ[name] for name in os.environ.keys() - {"DISPLAY", "MUJOCO_GL"}}
+    run = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, env=headless
+    )
+    assert (run.stdout, run.stderr) == ("dm_control/pendulum-swingup-v0 True\n", "")
 
 
 @pytest.mark.parametrize(
