@@ -65,6 +65,10 @@ class EnvironmentConfig(Group):
     """Entries of a dictionary of observations that are shown to the agent; all when none."""
     terminate_on_success: bool = False
     """End an episode once the task reports success."""
+    action_repeat: int = setting(1, at_most=1_000)
+    """Steps of the task for which every action is held, with their rewards summed; all other steps
+    and intervals count actions, but for `max_episode_steps`. For tasks whose steps are so short
+    that a single action changes next to nothing: from 2 to 8 in those of dm_control."""
     frame_stack: int = setting(1, at_most=1_000)
     """Observations shown to the agent together, with the actions between them."""
     num_envs: int = setting(1, at_most=2**16)
@@ -340,6 +344,11 @@ def _refuse_beside_hindsight(config: Config) -> None:
             "`frame_stack` must be 1 with `hindsight`, which puts a goal into single "
             f"observations, got {environment.frame_stack}."
         )
+    if environment.action_repeat > 1:
+        raise ValueError(
+            "`action_repeat` must be 1 with `hindsight`, which computes the reward of single "
+            f"steps, got {environment.action_repeat}."
+        )
     if environment.terminate_on_success:
         raise ValueError(
             "`terminate_on_success` must be left out with `hindsight`, which knows of success "
@@ -422,7 +431,7 @@ def merge_config(wanted: Config, own: Config) -> Config:
 
 
 IGNORED = ("out", "matmul_precision")  # the last is chosen anew by the clock
-YOUNGER: dict[str, Any] = {"hindsight": None}
+YOUNGER: dict[str, Any] = {"hindsight": None, "action_repeat": 1}
 """Settings that came after the first runs, with the value by which these were as they are."""
 LEARNING_STAYS = (
     "log_interval",

@@ -32,7 +32,7 @@ import deep_curiosity_envs
 from deep_curiosity.training.config import EnvironmentConfig
 from deep_curiosity.training.frame_stack import FrameStack, VectorFrameStack
 from deep_curiosity.training.spaces import Entry, TaskSpaces
-from deep_curiosity.training.wrappers import PlainSteps, VectorObservation
+from deep_curiosity.training.wrappers import ActionRepeat, PlainSteps, VectorObservation
 
 GOAL_ENDS_EPISODE = frozenset({"MountainCarContinuous-v0"})
 """Tasks that say nothing of success, but terminate at the goal and nowhere else."""
@@ -134,6 +134,8 @@ def _make(
     environment = _flattened(environment, config.observation_keys)
     check_spaces(environment.observation_space, environment.action_space)
     environment = VectorObservation(environment)
+    if config.action_repeat > 1:
+        environment = ActionRepeat(environment, config.action_repeat)
     low, high = np.array([-1.0, 1.0], environment.action_space.dtype)
     environment = RescaleAction(environment, low, high)
     return environment if config.frame_stack == 1 else FrameStack(environment, config.frame_stack)
@@ -258,14 +260,17 @@ def _has_native(config: EnvironmentConfig) -> bool:
     """Whether MuJoCo steps all environments of a task in one call."""
     if config.env_id == MADE_BY_FUNCTION or config.terminate_on_success:
         return False
+    if config.action_repeat > 1:
+        return False
     return registered_id(config.env_id) in deep_curiosity_envs.TASK_IDS
 
 
 def _check_native(config: EnvironmentConfig) -> None:
     if not _has_native(config):
-        ended = " that end at success" if config.terminate_on_success else ""
+        changed = " that end at success" if config.terminate_on_success else ""
+        changed += " whose actions are repeated" if config.action_repeat > 1 else ""
         raise ValueError(
-            f"`vectorization` must be 'auto', 'sync' or 'async' for {config.env_id}{ended}, got "
+            f"`vectorization` must be 'auto', 'sync' or 'async' for {config.env_id}{changed}, got "
             f"'native', which is for {', '.join(deep_curiosity_envs.TASK_IDS)}, as they are."
         )
 

@@ -117,6 +117,36 @@ class VectorObservation(gymnasium.Wrapper):
         return copy
 
 
+class ActionRepeat(gymnasium.Wrapper):
+    """Holds every action for several steps of the task, of which it shows the last observation.
+
+    Rewards are summed, a success on the way is one, and the end of the episode, or what is not
+    finite, ends the holding.
+
+    Args:
+        env: Its observations are vectors.
+        num_steps: For which an action is held.
+    """
+
+    def __init__(self, env: gymnasium.Env, num_steps: int) -> None:
+        super().__init__(env)
+        self.num_steps = num_steps
+
+    def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """Step the task as often as the action is held."""
+        total, succeeded = 0.0, False
+        for _ in range(self.num_steps):
+            observation, reward, terminated, truncated, info = self.env.step(action)
+            total += float(reward)
+            succeeded |= info.get("is_success", False)
+            sound = np.isfinite(total) and np.isfinite(observation).all()
+            if terminated or truncated or not sound:
+                break
+        if "is_success" in info:
+            info["is_success"] = succeeded
+        return observation, total, terminated, truncated, info
+
+
 def real_dtype(dtype: Any) -> type[np.floating]:
     """Type in which observations are kept: float32, or float64 where they come in it."""
     kind = np.dtype(dtype)

@@ -115,3 +115,12 @@ def test_at_half_the_horizon_the_pendulum_is_never_swung_up():
         if row["task"] == "PendulumSwingup" and row["curiosity discount"] == 0.5
     ]
     assert len(returns) >= 5 and max(returns) < 100
+
+
+def test_what_is_said_of_a_thousand_kills_is_what_came_of_them():
+    page = " ".join((ROOT / "docs/reliability/README.md").read_text().split())
+    rows = rows_of("docs/reliability/torture.csv")
+    faults = ("corrupt_checkpoints", "failed_resumes", "wrong_rows", "unequal_chains")
+    assert sum(row["kills"] for row in rows) >= 1_000 and len(rows) == 4
+    assert not any(row[name] for row in rows for name in faults)
+    assert f"every one of the {sum(row['chains'] for row in rows):.0f} chains" in page

@@ -441,3 +441,25 @@ def test_mazes_and_hands_of_gymnasium_robotics_are_taken(env_id):
     size = collector.environment.single_action_space.shape
     finished = [collector.step(np.zeros((1, *size), np.float32))[1] for _ in range(4)][-1]
     assert finished[0][1:3] == (4, 0.0)
+
+
+@pytest.mark.parametrize("num_envs", [1, 2])
+def test_actions_are_repeated_within_the_episodes_of_the_task(num_envs):
+    config = EnvironmentConfig("PendulumSwingup", action_repeat=8, num_envs=num_envs)
+    held = Collector(make_vector_environment(config), seed=0)
+    single = Collector(make_vector_environment(replace(config, action_repeat=1)), seed=0)
+    action = np.full((num_envs, 1), 0.5, np.float32)
+    for _ in range(8):
+        each, _ = single.step(action)
+    once, _ = held.step(action)
+    np.testing.assert_allclose(once.next_observation, each.next_observation, atol=1e-6)
+    episodes = [episode for _ in range(24) for episode in held.step(action)[1]]
+    assert [episode.length for episode in episodes] == [25] * num_envs  # of 200 steps
+    for collector in (held, single):
+        collector.environment.close()
+
+
+def test_repeated_actions_are_not_stepped_by_one_call():
+    config = EnvironmentConfig("PendulumSwingup", action_repeat=2, vectorization="native")
+    with pytest.raises(ValueError, match="whose actions are repeated, got 'native'"):
+        make_vector_environment(config)

@@ -3,7 +3,12 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from deep_curiosity.training.wrappers import PlainSteps, VectorObservation, real_dtype
+from deep_curiosity.training.wrappers import (
+    ActionRepeat,
+    PlainSteps,
+    VectorObservation,
+    real_dtype,
+)
 
 ACTION = np.zeros(1, np.float32)
 
@@ -130,3 +135,47 @@ def test_precision_is_kept_and_whole_numbers_are_single():
     assert {real_dtype(kind) for kind in (np.float16, np.float32, np.int64, np.uint8)} == {
         np.float32
     }
+
+
+class Counts(gymnasium.Env):
+    """Shows how many steps it has taken, and pays as much; something may happen at some step."""
+
+    action_space = spaces.Box(-1.0, 1.0, (1,))
+    observation_space = spaces.Box(-np.inf, np.inf, (1,))
+
+    def __init__(self, **happens):
+        self.happens = happens
+        self.steps = 0
+
+    def step(self, action):
+        self.steps += 1
+        shown = np.full(1, self.steps, np.float32)
+        if self.steps == self.happens.get("broken"):
+            shown[:] = np.nan
+        flags = [self.steps == self.happens.get(name) for name in ("terminated", "truncated")]
+        success = {"is_success": self.steps == self.happens.get("success")}
+        return shown, float(self.steps), *flags, success if "success" in self.happens else {}
+
+
+def test_an_action_is_held_and_its_rewards_are_summed():
+    environment = ActionRepeat(Counts(), 3)
+    given = [environment.step(ACTION) for _ in range(2)]
+    assert [(step[0].item(), step[1]) for step in given] == [(3.0, 6.0), (6.0, 15.0)]
+    assert given[1][2:] == (False, False, {})
+
+
+@pytest.mark.parametrize("name", ["terminated", "truncated", "broken"])
+def test_what_ends_an_episode_ends_the_holding(name):
+    environment = ActionRepeat(Counts(**{name: 2}), 5)
+    observation, reward, terminated, truncated, _ = environment.step(ACTION)
+    assert (reward, environment.unwrapped.steps) == (3.0, 2)
+    assert (terminated, truncated) == (name == "terminated", name == "truncated")
+    assert np.isnan(observation).all() == (name == "broken")
+
+
+@pytest.mark.parametrize(
+    ("at", "steps"), [(1, [True, False]), (3, [True, False]), (4, [False, True])]
+)
+def test_a_success_on_the_way_is_one(at, steps):
+    environment = ActionRepeat(Counts(success=at), 3)
+    assert [environment.step(ACTION)[4]["is_success"] for _ in steps] == steps
