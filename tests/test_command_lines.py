@@ -345,3 +345,13 @@ def test_ctrl_c_ends_a_command_as_a_shell_expects():
     with pytest.raises(SystemExit) as stopped, answering():
         raise KeyboardInterrupt
     assert stopped.value.code == 130
+
+
+def test_tables_of_a_study_may_have_the_name_of_a_folder_beside_them(call, tmp_path):
+    (tmp_path / "studied" / "mine").mkdir(parents=True)
+    accepted, _ = call("study", "sparse", "--out", "studied/mine")
+    assert accepted[-1]["out"] == Path("studied/mine")
+    (tmp_path / "studied" / "mine.md").mkdir()
+    assert "`out` must be a file, got studied/mine.md" in refusal(
+        call, "study", "sparse", "--out", "studied/mine"
+    )

@@ -15,7 +15,13 @@ import tyro
 from deep_curiosity.arguments import check_file, check_folder, read_arguments
 from deep_curiosity.configuration import setting
 from deep_curiosity.experiments.engines import EngineArgs, make_engine
-from deep_curiosity.experiments.grid import ENDINGS, overridden, part_of, run_study
+from deep_curiosity.experiments.grid import (
+    ENDINGS,
+    output_path,
+    overridden,
+    part_of,
+    run_study,
+)
 from deep_curiosity.experiments.studies import find_study
 from deep_curiosity.training.command_line import read_settings
 
@@ -46,11 +52,12 @@ class Args(EngineArgs):
         super().__post_init__()
         check_folder("runs", self.runs)
         if self.out is not None:
-            check_file("out", self.out)
-            if self.out.suffix in ENDINGS:
+            if self.out.suffix in ENDINGS or self.out.name in ("", ".."):
                 raise ValueError(
                     f"`out` must be a path of a file without its suffix, got {self.out}."
                 )
+            for ending in ENDINGS:
+                check_file("out", output_path(self.out, ending))
 
 
 def main(arguments: Sequence[str]) -> int:

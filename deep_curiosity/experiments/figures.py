@@ -1,6 +1,7 @@
 """Figures of studies: learning curves, and what was measured, with intervals over seeds."""
 
 import math
+import textwrap
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -14,7 +15,8 @@ from deep_curiosity.experiments.study import Row, Study
 from deep_curiosity.experiments.tables import select
 
 PANELS_PER_ROW = 3
-LABEL_GAP = 0.06  # of the height of a panel, between two labels beside the curves
+LABEL_GAP = 0.06  # of the height of a panel, for a line of the labels beside the curves
+LABEL_WIDTH = 24  # letters, beyond which a label goes on in the next line
 
 
 def plot_curves(path: Path, study: Study, rows: Sequence[Row], curves: Sequence[Row]) -> None:
@@ -55,18 +57,27 @@ def draw_curve(
 ) -> None:
     """Draw a curve and its interval."""
     value, low, high = np.array(estimates).T
-    axes.plot(steps, value, color=color)
+    axes.plot(steps, value, ".-", color=color, markersize=4)
     axes.fill_between(steps, low, high, color=color, alpha=0.15, linewidth=0)
+    if len(steps) == 1:
+        axes.vlines(steps, low, high, color=color, alpha=0.5)
 
 
 def label_beside(axes: Axes, ends: dict[tuple[str, str], float]) -> None:
     """Names beside the ends of the curves, in their colours, none upon another."""
     low, high = axes.get_ylim()
-    place = -np.inf
+    place, above = -np.inf, 0.0
     for (name, color), end in sorted(ends.items(), key=lambda item: item[1]):
-        place = max((end - low) / (high - low), place + LABEL_GAP)
+        lines = textwrap.wrap(name, LABEL_WIDTH)
+        half = LABEL_GAP * len(lines) / 2
+        place, above = max((end - low) / (high - low), place + above + half), half
         axes.annotate(
-            name, (1.02, place), xycoords="axes fraction", color=color, va="center", fontsize=9
+            "\n".join(lines),
+            (1.02, place),
+            xycoords="axes fraction",
+            color=color,
+            va="center",
+            fontsize=9,
         )
 
 

@@ -1,6 +1,7 @@
 """One run: begun, continued or, where it is finished, read; and what is measured of it."""
 
 import json
+import math
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -51,8 +52,8 @@ def run_own(cell: "Cell") -> "Result":
     config = cell.config
     summary = run_once(config)
     curve = [
-        {"step": int(row["step"]), "evaluation_return": float(row[EVALUATION_TAG])}
-        for row in read_progress(config.run.out)
+        {"step": step, "evaluation_return": value}
+        for step, value in read_evaluations(config.run.out)
     ]
     versions = summary["versions"]
     origin = {
@@ -160,12 +161,20 @@ def measure_run(config: Config, summary: "Row") -> list["Row"]:
     return [{name: summary[name] for name in MEASURED}]
 
 
+def read_evaluations(folder: Path) -> list[tuple[int, float]]:
+    """Step and mean return of every evaluation of a run since it has learned."""
+    rows = [
+        (int(row["step"]), float(row[EVALUATION_TAG] or "nan")) for row in read_progress(folder)
+    ]
+    return [(step, value) for step, value in rows if math.isfinite(value)]
+
+
 def measure_area(config: Config, summary: "Row") -> list["Row"]:
     """Mean return over all scheduled evaluations, the area under the curve, and the last one."""
     evaluations = [
-        float(row[EVALUATION_TAG])
-        for row in read_progress(config.run.out)
-        if int(row["step"]) % config.run.evaluation_interval == 0
+        value
+        for step, value in read_evaluations(config.run.out)
+        if step % config.run.evaluation_interval < config.environment.num_envs
     ]
     area = sum(evaluations) / len(evaluations)
     return [{"area": area, "evaluation_return": summary["evaluation_return"]}]

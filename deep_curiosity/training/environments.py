@@ -109,7 +109,8 @@ def _source(config: EnvironmentConfig, make_env: MakeEnv | None) -> EnvSpec | Ma
         if config.env_id == MADE_BY_FUNCTION:
             raise ValueError(
                 "`make_env` must be given again, since a function of the caller made the "
-                "environment of this run, got None."
+                "environments of this run: it goes on by deep_curiosity.continue_run(folder, "
+                "make_env=...), got None."
             )
         return gymnasium.spec(registered_id(config.env_id))
     if config.env_id != MADE_BY_FUNCTION or config.env_kwargs:
@@ -400,11 +401,10 @@ def registered_id(env_id: str) -> str:
     if not module and name.startswith(ROBOTICS_PREFIXES):
         require("gymnasium_robotics", extra="robotics")
         return registered_id(f"gymnasium_robotics:{name}")
-    nearest = difflib.get_close_matches(name, known, n=3, cutoff=0.4)
-    raise ValueError(
-        f"`env_id` must be a registered id such as {', '.join(nearest or known[-3:])}; "
-        f"got {env_id!r}. Tasks of this package: {', '.join(deep_curiosity_envs.TASK_IDS)}."
-    )
+    nearest = difflib.get_close_matches(name, known, n=3, cutoff=0.4) or known[-3:]
+    choices = ", ".join(f"{module}:{each}" if module else each for each in nearest)
+    own = "" if module else f" Tasks of this package: {', '.join(deep_curiosity_envs.TASK_IDS)}."
+    raise ValueError(f"`env_id` must be a registered id such as {choices}; got {env_id!r}.{own}")
 
 
 def _import_tasks(module: str, env_id: str) -> None:

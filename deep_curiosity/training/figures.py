@@ -64,8 +64,9 @@ def _plot_returns(
         returns, lengths, *_ = zip(*episodes, strict=True)
         axes.plot(np.cumsum(lengths), returns, ".", alpha=0.4, label="training episode")
     if columns:
-        evaluation = columns["eval/return"]
-        axes.plot(columns["step"], evaluation, ".-", color="black", label="evaluation")
+        evaluated = np.isfinite(columns["eval/return"])
+        steps, values = columns["step"][evaluated], columns["eval/return"][evaluated]
+        axes.plot(steps, values, ".-", color="black", label="evaluation")
     if episodes or columns:
         axes.legend(fontsize=8)
 

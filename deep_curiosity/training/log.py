@@ -58,7 +58,7 @@ def check_unused(folder: Path) -> None:
     if (folder / CONFIG).exists():
         raise FileExistsError(
             f"`out` must not hold a run already, got {folder}; continue it with "
-            f"--resume {folder}, or choose another folder."
+            f"--resume {folder}, in Python by continue_run, or choose another folder."
         )
     if there := [name for name in WRITTEN if (folder / name).exists()]:
         raise FileExistsError(

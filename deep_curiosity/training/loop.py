@@ -52,7 +52,8 @@ def train(
             `eval/success_rate`; `True` stops the run.
         on_log: Called at every row of progress.csv with the step and the values of the row, by
             their tags; `True` stops the run.
-        show_progress: Show a bar with return, bonus in nats and steps per second.
+        show_progress: Show a bar with return, bonus in nats and steps per second, and say how the
+            run computes and how to go on with one that is stopped.
 
     Returns:
         The summary of the run, as in its `summary.json`.
@@ -68,7 +69,9 @@ def train(
     """
     # 1. Initialise policy, values, model and replay, or restore them
     with (
-        open_run(config, resume=resume, hunger=hunger, make_env=make_env) as run,
+        open_run(
+            config, resume=resume, hunger=hunger, make_env=make_env, quiet=not show_progress
+        ) as run,
         catch_interruption() as interruption,
     ):
         course, num_envs = run.config.run, run.config.environment.num_envs
@@ -105,9 +108,9 @@ def train(
                 evaluation = row = None
                 if run.reached(course.evaluation_interval) or run.all_steps_taken:
                     evaluation = run.evaluate()
-                if run.metrics and (run.reached(course.log_interval) or run.all_steps_taken):
+                if run.metrics and (evaluation or run.reached(course.log_interval)):
                     row = run.progress()
-                    bar.set_postfix_str(_postfix(row), refresh=False)
+                    bar.set_postfix_str(_postfix(row | run.latest_evaluation()), refresh=False)
                 run.unrecorded = False
                 with run.saved_on_error():
                     interruption.requested |= call(on_evaluation, run_log.step, evaluation)
@@ -121,7 +124,7 @@ def train(
         run.save()
         summary = run.write_summary()
         _plot(course.out)
-        if not run.finished:
+        if show_progress and not run.finished:
             print(f"Stopped at step {run_log.step}; continue with --resume {course.out}")
         return summary
 

@@ -169,7 +169,7 @@ class Run:
                 seed=EVALUATION_SEED,
             )
         self.run_log.on_evaluated(episodes)
-        values = self._latest_evaluation()
+        values = self.latest_evaluation()
         self.log.scalars(self.run_log.step, values)
         return values
 
@@ -224,6 +224,8 @@ class Run:
     def progress(self) -> dict[str, float]:
         """Write down everything there is to tell at this step, and return it.
 
+        Of an evaluation it tells where there was one at this step, and is NaN elsewhere.
+
         Raises:
             DivergedError: If a loss is not finite.
             LeaseError: If another process has taken over the folder.
@@ -245,11 +247,14 @@ class Run:
         values |= {tag: value.item() for tag, value in self.metrics.items()}
         values |= {tag: value.item() for tag, value in self.learner.diagnostics().items()}
         self.log.scalars(run_log.step, values)
-        values |= self._latest_evaluation()
+        evaluation = self.latest_evaluation()
+        is_new = run_log.evaluation_step == run_log.step
+        values |= evaluation if is_new else dict.fromkeys(evaluation, math.nan)
         self.log.row(run_log.step, values)
         return values
 
-    def _latest_evaluation(self) -> dict[str, float]:
+    def latest_evaluation(self) -> dict[str, float]:
+        """What is logged of the newest evaluation; NaN before there was one."""
         episodes = self.run_log.latest_evaluation
         return {
             "eval/return": _number(mean_return(episodes, num_recent=len(episodes))),
@@ -346,6 +351,7 @@ def open_run(
     resume: bool = False,
     hunger: HungerFunction | None = None,
     make_env: MakeEnv | None = None,
+    quiet: bool = False,
 ) -> Iterator[Run]:
     """Begin a run, or continue the one in its folder; close it however it ends.
 
@@ -354,6 +360,7 @@ def open_run(
         resume: Continue.
         hunger: The caller's own function of observation and info.
         make_env: The caller's own function that makes an environment.
+        quiet: Do not say how the run computes.
 
     Raises:
         DivergedError: If the weights of a run to be continued are not finite.
@@ -372,7 +379,8 @@ def open_run(
         precision = stack.enter_context(fitted_machine(config.speed))
         speed = replace(config.speed, matmul_precision=precision)  # kept when resumed
         config = replace(config, speed=speed)
-        _print_machine(config)
+        if not quiet:
+            _print_machine(config)
         torch.manual_seed(config.run.seed)
         evaluation_environment = make_environment(config.environment, **_own(make_env))
         stack.callback(evaluation_environment.close)

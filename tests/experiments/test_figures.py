@@ -36,6 +36,17 @@ def test_every_agent_has_a_curve_with_its_name_beside_it(saved, tmp_path, make_r
     assert abs(places[0] - places[1]) >= figures.LABEL_GAP - 1e-9
 
 
+def test_a_single_evaluation_is_a_dot_with_its_interval(saved, tmp_path, make_rows):
+    study = Study(TASKS[:1], {"bold": {}}, curves=True)
+    key = {"task": "maze", "agent": "bold", "step": 10}
+    curves = [key | {"seed": seed, "evaluation_return": 2.0 * seed} for seed in range(2)]
+    plot_curves(tmp_path / "figure.png", study, make_rows(study, len), curves)
+    (axes,) = saved[0].axes
+    assert axes.lines[0].get_marker() == "."
+    (whisker,) = axes.collections[-1].get_segments()
+    assert whisker[:, 0].tolist() == [10, 10] and whisker[1, 1] - whisker[0, 1] > 0
+
+
 def test_agents_with_names_stand_beneath_each_other(saved, tmp_path, make_rows):
     study = Study(TASKS[:1], {"bold": {}, "shy": {}}, columns=("coverage",))
     plot_columns(tmp_path / "figure.png", study, make_rows(study, len))

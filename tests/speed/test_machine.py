@@ -89,6 +89,8 @@ def test_a_run_says_what_it_does_with_the_machine(capsys, tiny):
         assert torch.get_float32_matmul_precision() == "high"
     said = capsys.readouterr().out
     assert said.startswith("Matrix products high, relative error ") and "updates eager" in said
+    with open_run(tiny.override(out=tiny.run.out / "other"), quiet=True):
+        assert not capsys.readouterr().out
 
 
 def test_a_resumed_run_keeps_the_precision_that_was_fastest_when_it_began(monkeypatch, tiny):

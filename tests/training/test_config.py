@@ -168,7 +168,10 @@ def test_hunger_and_temperature_are_read_from_their_text():
         ({"curiosity_ends": 20_000}, r"`curiosity_ends` must be below `total_steps` \(20000\)"),
         ({"hindsight": 0}, "`hindsight` must be at least 1, got 0"),
         ({"hindsight": 4, "frame_stack": 3}, "`frame_stack` must be 1 with `hindsight`.* got 3"),
-        ({"hindsight": 4, "action_repeat": 2}, "`action_repeat` must be 1 with `hindsight`.* got 2"),
+        (
+            {"hindsight": 4, "action_repeat": 2},
+            "`action_repeat` must be 1 with `hindsight`.* got 2",
+        ),
         (
             {"hindsight": 4, "terminate_on_success": True},
             "`terminate_on_success` must be left out with `hindsight`.* got True",

@@ -406,6 +406,8 @@ def test_a_module_is_imported_for_its_tasks(tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(tmp_path)
     environment = make_environment(EnvironmentConfig("tasks_of_mine:Mine-v0"))
     assert environment.spec.max_episode_steps == 5
+    with pytest.raises(ValueError, match=r"such as tasks_of_mine:Mine-v0.*'tasks_of_mine:Mine'"):
+        make_environment(EnvironmentConfig("tasks_of_mine:Mine"))
     gymnasium.registry.pop("Mine-v0")
     with pytest.raises(
         ValueError, match=r"`env_id` must be a registered id.*'tasks_of_mine:Other"

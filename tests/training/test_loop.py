@@ -15,6 +15,7 @@ import torch
 from gymnasium.vector import AsyncVectorEnv
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from deep_curiosity.experiments.runs import read_evaluations
 from deep_curiosity.training import continue_run, environments, loop, train
 from deep_curiosity.training.checkpoint import NEWEST, load_checkpoint, save_checkpoint
 from deep_curiosity.training.collector import Collector
@@ -206,6 +207,13 @@ def test_the_ratio_does_not_drift_over_resumed_parts(tiny, monkeypatch):
     assert all(29 * step >= 100 * due > 29 * (step - 1) for due, step in enumerate(steps, 1))
 
 
+def test_every_evaluation_has_a_row_and_no_row_has_another_ones(tiny):
+    train(tiny.override(evaluation_interval=25, log_interval=20), show_progress=False)
+    evaluated = {int(row["step"]): row["eval/return"] != "nan" for row in rows(tiny.run.out)}
+    assert evaluated == {25: True, 40: False, 50: True, 60: True}
+    assert [step for step, _ in read_evaluations(tiny.run.out)] == [25, 50, 60]
+
+
 def test_intervals_count_the_steps_of_all_environments(tiny):
     summary = train(tiny.override(num_envs=8, update_to_data=0.1), show_progress=False)
     assert summary["total_steps"] == 64  # the first multiple of 8 that is not below 60
@@ -282,8 +290,9 @@ def test_a_resumed_run_changes_what_leaves_what_is_learned_as_it_is(tiny, capsys
     assert "`total_steps` is 80, it was 60: the run goes on exactly as if" in printed
     assert "`log_interval` is 10, it was 20: what is learned stays exactly what" in printed
     assert "`numpy_policy` is False, it was True: from here on results are rounded oth" in printed
-    evaluations = [row["eval/return"] for row in rows(tiny.run.out)]
-    assert evaluations[-2] != evaluations[-1]  # at 70 still the one episode at 60
+    evaluations = {row["step"]: row["eval/return"] for row in rows(tiny.run.out)}
+    assert evaluations["60"] != evaluations["80"]  # of one episode, and of two
+    assert evaluations["70"] == "nan"  # where there was none
 
 
 def test_a_schedule_that_is_stretched_is_said_so(tiny, capsys):
