@@ -112,6 +112,7 @@ def parse(
         _known(_peek(given, "--preset"), PRESETS),
         bonus=_known(_peek(given, "--bonus"), BONUS_CONFIGS) or base.bonus,
     )
+    _refuse_of_other_bonuses(given, base)
     kind = _command_class(base, show_all)
     read = vars(read_arguments(kind, given, description=description, prog=prog))
     values = {name: _from_text(each, read[name]) for name, each in flat(base).items()}
@@ -162,6 +163,24 @@ def _peek(arguments: list[str], flag: str) -> str | None:
 def _known(value: str | None, choices: Any) -> str | None:
     """A choice, or nothing where it is none: the parser then says which there are."""
     return value if value in choices else None
+
+
+def _refuse_of_other_bonuses(arguments: list[str], base: Config) -> None:
+    """Name the bonus whose setting is given; the parser only says that there is none here.
+
+    Raises:
+        ValueError: If a setting is given that another bonus has.
+    """
+    flags = [
+        each[2:].partition("=")[0].replace("-", "_") for each in arguments if each[:2] == "--"
+    ]
+    for name in set(flags) - set(flat(base)):
+        owners = [kind for kind in BONUS_CONFIGS if name in flat(Config.of(bonus=kind))]
+        if owners:
+            raise ValueError(
+                f"`{name}` must be left out with the bonus {base.bonus.kind}; it is a setting of "
+                f"{', '.join(owners)}."
+            )
 
 
 def _command_class(base: Config, show_all: bool) -> type:
