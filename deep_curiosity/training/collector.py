@@ -120,7 +120,7 @@ class Collector:
         space = environment.single_observation_space
         assert isinstance(space, spaces.Box)
         self._usual_observation = UsualSize(usual_observation(space.low, space.high))
-        self._usual_reward = UsualSize(np.array([USUAL_REWARD]))
+        self._usual_reward = UsualSize(np.array([USUAL_REWARD]), kept=FACTOR)
         self._cut_names: set[str] = set()  # of what was cut so far, each told once
         self._raw_observation = np.zeros((num_envs, *space.shape), dtype=space.dtype)
         self.observation = self._raw_observation

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-FACTOR = 100.0  # times the usual size of an entry, beyond which it is cut
+FACTOR = 100.0  # times the usual size of an entry, beyond which it is absurd
 RISE = 0.05  # of the usual size, in logarithm, at a step that exceeds it
 SHARE = 0.01  # of the steps exceeds the usual size: where rise and fall balance
 MAX_DECLARED = 1e4  # a space that allows more says nothing of what is usual
@@ -14,25 +14,29 @@ class UsualSize:
 
     The usual size is the 99 % quantile of the absolute value, tracked by steps of 5 %: numbers of
     a new order of magnitude are taken as they are some 50 steps later, while one in a hundred
-    moves nothing. An entry is cut at a hundred times its usual size.
+    moves nothing. What is beyond a hundred times its usual size is absurd.
 
     Args:
         floor: `(dim,)`, sizes that are usual from the start, and always will be.
+        kept: How much of an absurd number is kept, in usual sizes: 1 where it says nothing, as of
+            an observation, on which networks would extrapolate; up to a hundred where much is
+            more, as of a reward.
     """
 
-    def __init__(self, floor: np.ndarray) -> None:
+    def __init__(self, floor: np.ndarray, kept: float = 1.0) -> None:
         self.floor = floor
+        self.kept = kept
         self.size = floor.copy()
 
     def cut(self, value: np.ndarray) -> np.ndarray:
-        """The value, `(rows, dim)` and finite, each entry within its bound; learns from it."""
+        """The value, `(rows, dim)` and finite, with nothing absurd in it; learns from it."""
         size = np.abs(value)
         exceeds = (size > self.size).mean(0)
-        bound = FACTOR * self.size
+        absurd, usual = size > FACTOR * self.size, self.kept * self.size
         self.size = np.maximum(self.size * np.exp(RISE * (exceeds - SHARE)), self.floor)
-        if (size <= bound).all():
+        if not absurd.any():
             return value
-        return np.clip(value, -bound, bound).astype(value.dtype)
+        return np.where(absurd, np.sign(value) * usual, value).astype(value.dtype)
 
 
 def usual_observation(low: np.ndarray, high: np.ndarray) -> np.ndarray:
