@@ -19,7 +19,7 @@ from deep_curiosity.training.environments import MakeEnv
 from deep_curiosity.training.hunger import HungerFunction
 from deep_curiosity.training.interruption import Interrupted, catch_interruption
 from deep_curiosity.training.log import read_config
-from deep_curiosity.training.run import open_run
+from deep_curiosity.training.run import Run, open_run
 
 
 def train(
@@ -74,59 +74,77 @@ def train(
         ) as run,
         catch_interruption() as interruption,
     ):
-        course, num_envs = run.config.run, run.config.environment.num_envs
-        run_log, learner, collector = run.run_log, run.learner, run.collector
-        bar = tqdm(total=course.total_steps, initial=run_log.step, disable=not show_progress)
+        total_steps = run.config.run.total_steps
+        bar = tqdm(total=total_steps, initial=run.run_log.step, disable=not show_progress)
 
         # 2. Repeat at every time step, in all environments at once
         with suppress(Interrupted):
             while not run.finished and not interruption.requested:
                 if not run.unrecorded:  # else it was stopped in the evaluation of this step
-                    step_started = time.perf_counter()
-                    learning = run_log.step >= course.learning_starts
-                    uniform = not learning and course.init_from is None
-
-                    # (d) Choose an action, obtain reward and next state; both are kept as they are
-                    if run.action is None:  # else it was stopped in this step
-                        observation = collector.observation
-                        with run.saved_on_error():  # of a hunger function
-                            learner.before_step(run_log.step, observation, collector.present_info)
-                        run.action = learner.act(observation, explore_uniformly=uniform)
-                    finished = run.collect()
-                    run_log.on_step(collector.info)
-                    for episode in finished:
-                        run_log.episodes.append(episode)
-                        run.log.scalars(run_log.step, _scalars_of(episode))
-
-                    # (a, b, c, e) Renew model, p(x'), values, policy, p(a) and temperature
-                    if learning:
-                        run.learn()
-                        run_log.on_learned(num_envs, time.perf_counter() - step_started)
-                    run.unrecorded = True
-
-                # Evaluate without noise, log, tell the caller, keep a checkpoint
-                evaluation = row = None
-                if run.reached(course.evaluation_interval) or run.all_steps_taken:
-                    evaluation = run.evaluate()
-                if run.metrics and (evaluation or run.reached(course.log_interval)):
-                    row = run.progress()
-                    bar.set_postfix_str(_postfix(row | run.latest_evaluation()), refresh=False)
-                run.unrecorded = False
-                with run.saved_on_error():
-                    interruption.requested |= call(on_evaluation, run_log.step, evaluation)
-                    interruption.requested |= call(on_log, run_log.step, row)
-                if run.reached(course.checkpoint_interval):
-                    run.save()
-                bar.update(min(run_log.step, course.total_steps) - bar.n)
+                    _take_step(run)
+                interruption.requested |= _record_step(run, bar, on_evaluation, on_log)
+                bar.update(min(run.run_log.step, total_steps) - bar.n)
 
         # 3. Close
         bar.close()
         run.save()
         summary = run.write_summary()
-        _plot(course.out)
+        out, step = run.config.run.out, run.run_log.step
+        _plot(out)
         if show_progress and not run.finished:
-            print(f"Stopped at step {run_log.step}; continue with --resume {course.out}")
+            print(f"Stopped at step {step}; continue with --resume {out}")
         return summary
+
+
+def _take_step(run: Run) -> None:
+    """Act in all environments, and learn: a turn of the paper's algorithm."""
+    course, run_log, learner = run.config.run, run.run_log, run.learner
+    collector = run.collector
+    step_started = time.perf_counter()
+    learning = run_log.step >= course.learning_starts
+    uniform = not learning and course.init_from is None
+
+    # (d) Choose an action, obtain reward and next state; both are kept as they are
+    if run.action is None:  # else it was stopped in this step
+        observation = collector.observation
+        with run.saved_on_error():  # of a hunger function
+            learner.before_step(run_log.step, observation, collector.present_info)
+        run.action = learner.act(observation, explore_uniformly=uniform)
+    finished = run.collect()
+    run_log.on_step(collector.info)
+    for episode in finished:
+        run_log.episodes.append(episode)
+        run.log.scalars(run_log.step, _scalars_of(episode))
+
+    # (a, b, c, e) Renew model, p(x'), values, policy, p(a) and temperature
+    if learning:
+        run.learn()
+        num_envs = run.config.environment.num_envs
+        run_log.on_learned(num_envs, time.perf_counter() - step_started)
+    run.unrecorded = True
+
+
+def _record_step(
+    run: Run, bar: tqdm, on_evaluation: Callback | None, on_log: Callback | None
+) -> bool:
+    """Evaluate without noise, log, tell the caller, keep a checkpoint, where each is due.
+
+    Returns:
+        Whether the caller asks to stop.
+    """
+    course, step = run.config.run, run.run_log.step
+    evaluation = row = None
+    if run.reached(course.evaluation_interval) or run.all_steps_taken:
+        evaluation = run.evaluate()
+    if run.metrics and (evaluation or run.reached(course.log_interval)):
+        row = run.progress()
+        bar.set_postfix_str(_postfix(row | run.latest_evaluation()), refresh=False)
+    run.unrecorded = False
+    with run.saved_on_error():
+        stops = call(on_evaluation, step, evaluation) | call(on_log, step, row)
+    if run.reached(course.checkpoint_interval):
+        run.save()
+    return stops
 
 
 def _scalars_of(episode: Episode) -> dict[str, float]:

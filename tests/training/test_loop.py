@@ -389,7 +389,7 @@ def test_ctrl_c_ends_after_the_step_with_a_checkpoint(tiny, monkeypatch, capsys)
         return update(self)
 
     monkeypatch.setattr(Learner, "update", interrupting)
-    summary = train(tiny, show_progress=False)
+    summary = train(tiny)
     assert summary["total_steps"] == 33
     assert load_checkpoint(tiny.run.out)["run_log"]["step"] == 33
     assert f"--resume {tiny.run.out}" in capsys.readouterr().out

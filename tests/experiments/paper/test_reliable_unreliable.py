@@ -4,6 +4,7 @@ import pytest
 from deep_curiosity.experiments.paper.reliable_unreliable import write_reliable_unreliable
 
 
+@pytest.mark.slow
 def test_a_longer_horizon_moves_one_half_to_three_quarters(tmp_path):
     rows = write_reliable_unreliable(tmp_path, seed=0, num_discounts=3)
     assert [row.curiosity_discount for row in rows] == [0, 0.5, 0.9, 0.99, 0.999, 1]

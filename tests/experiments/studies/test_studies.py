@@ -1,4 +1,5 @@
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -30,7 +31,7 @@ STUDIES = {"own": Study([Task("maze", Config.of(env_id="PointMaze"))], {"default
 
 @pytest.mark.parametrize("name", OURS)
 def test_every_run_of_a_study_has_settings_that_can_be(tmp_path, name):
-    cells = cells_of(OURS[name], tmp_path / "runs" / name)
+    cells = cells_of(replace(OURS[name], seeds=1), tmp_path / "runs" / name)
     assert len({cell.folder for cell in cells}) == len(cells)
     for cell in cells:
         assert cell.config.run.seed == cell.seed
