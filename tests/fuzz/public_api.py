@@ -589,6 +589,11 @@ def has_zero(arguments: dict[str, Any]) -> bool:
     return any(bool((value == -torch.inf).any()) for value in logs)
 
 
+def sums_infinity(target: Target, arguments: dict[str, Any]) -> bool:
+    """Whether infinity is given to the sum that takes it, as zero times it is zero there."""
+    return target.name == "tabular weighted_sum" and not is_finite(arguments["value"])
+
+
 def is_mismatched(arguments: dict[str, Any], target: Target) -> bool:
     """Whether arguments that are said to share their rows do not."""
     expected = {"observation", "action", "reward", "next_observation", "terminated", "truncated"}
@@ -613,7 +618,9 @@ def call(target: Target, rng: random.Random) -> Outcome:
         kind = "clear refusal" if CLEAR.search(str(error)) else "unclear refusal"
         return Outcome(target.name, kind, f"{type(error).__name__}: {error}")
     kind = "finite answer"
-    may_be_infinite = target.may_be_infinite or has_zero(arguments)
+    may_be_infinite = (
+        target.may_be_infinite or has_zero(arguments) or sums_infinity(target, arguments)
+    )
     if not is_finite(answer, infinite=may_be_infinite):
         kind = "silent non-finite answer"
     elif is_mismatched(arguments, target):
