@@ -15,7 +15,7 @@ from deep_curiosity.bonuses.marginal import NUM_MEASURED, NextStateMarginal
 from deep_curiosity.bonuses.weight_tuning import TunedWeight
 from deep_curiosity.gaussians import DiagonalMixture, gaussian_log_prob, sample_index
 from deep_curiosity.nn.networks import frozen
-from deep_curiosity.nn.statistics import Every, Standardization
+from deep_curiosity.nn.statistics import Every, Standardization, replaced_by_mean
 from deep_curiosity.transitions import (
     Transition,
     check_counts,
@@ -261,7 +261,9 @@ class CuriosityBonus(Bonus):
         self._refresh()
         if len(scored.action):  # none of a first batch of one: the next is then due at once
             self.every.count()
-            self.standardization.update(self._score(scored.observation, scored.action))
+            score = self._score(scored.observation, scored.action)
+            is_absurd = self.dynamics.is_absurd(scored.observation)
+            self.standardization.update(replaced_by_mean(score, is_absurd))
             if self.tuned_weight is not None and policy is not None:
                 self._tune_weight(self.tuned_weight, late)
         self._remember(late)  # only now: what is scored is no component itself

@@ -1,9 +1,11 @@
 """Running statistics of a stream: counts, moments, and what is standardised by them."""
 
 import math
+from collections.abc import Callable
+from functools import partial
 
 import torch
-from jaxtyping import Float, Int
+from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
 from deep_curiosity.transitions import check_counts, is_number
@@ -15,6 +17,7 @@ NORMAL_RANGE = 1.349  # interquartile range of a standard Gaussian
 FAR = 3.0  # scales beyond which a value is as good as at this distance, to a saturating scale
 NORMAL_SHARE = 0.99501  # mean of min(z^2, FAR^2) of a standard Gaussian
 SCALE_STEPS = 12  # of the fixed-point iteration for that scale, from above
+MORE_SCALE_STEPS, FALLING = 24, 0.9  # where it still falls, as with an absurd row among few
 WHITENED_BOUND = 10.0  # a feature that starts to move late would drown all others
 STATISTICS_MEMORY = 1_280.0  # rows; a bonus drifts as its model learns, so old ones fade
 BONUS_BOUND = 5.0  # standard deviations at which a bonus is cut, so that no tail rules
@@ -57,6 +60,9 @@ class RunningMoments(nn.Module):
         dim: Number of features.
         memory: Rows after which old ones fade: from then on every update is an exponential moving
             average. Infinity weighs all rows alike.
+        reach: Scales from the centre at which a value is counted that lies beyond, once there is
+            a scale: one absurd row cannot widen it for all others, and what has moved for good
+            is followed. Infinity counts all rows as they are.
     """
 
     mean: Tensor
@@ -67,12 +73,16 @@ class RunningMoments(nn.Module):
     scale: Tensor
     """Standard deviation of each feature, never zero; one while a single row is known."""
 
-    def __init__(self, dim: int, *, memory: float = float("inf")) -> None:
+    def __init__(
+        self, dim: int, *, memory: float = float("inf"), reach: float = float("inf")
+    ) -> None:
         super().__init__()
         check_counts(dim=dim)
-        if not (is_number(memory) or memory == math.inf) or memory <= 0:
-            raise ValueError(f"`memory` must be positive, got {memory!r}.")
+        for name, number in (("memory", memory), ("reach", reach)):
+            if not (is_number(number) or number == math.inf) or number <= 0:
+                raise ValueError(f"`{name}` must be positive, got {number!r}.")
         self.memory = memory
+        self.reach = reach
         self.register_buffer("mean", torch.zeros(dim))
         self.register_buffer("var", torch.ones(dim))
         self.register_buffer("count", torch.zeros(()))
@@ -99,6 +109,8 @@ class RunningMoments(nn.Module):
         return torch.zeros_like(value)
 
     def _merge(self, value: Tensor) -> None:
+        bound = torch.where(self.count < 2, torch.inf, self.reach * self.scale)
+        value = torch.minimum(torch.maximum(value, self.center - bound), self.center + bound)
         batch_mean = value.mean(0)
         batch_var = value.var(0, correction=0)
         self.count.add_(value.shape[0]).clamp_(max=max(self.memory, value.shape[0]))
@@ -183,8 +195,9 @@ class SaturatingMoments(RobustMoments):
     """
 
     def normalize(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch dim"]:
-        """Centre, scale, and saturate."""
-        return torch.asinh((value - self.center) / self.scale)
+        """Centre, scale, saturate, and cut at ten thousand scales."""
+        saturated = torch.asinh((value - self.center) / self.scale)
+        return saturated.clamp(-WHITENED_BOUND, WHITENED_BOUND)
 
     def denormalize(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch dim"]:
         """What `normalize` makes this value of, up to ten thousand scales from the centre."""
@@ -201,11 +214,14 @@ class SaturatingMoments(RobustMoments):
         var = square.mean(0)
         for _ in range(SCALE_STEPS):
             var = torch.minimum(square, FAR**2 * var).mean(0) / NORMAL_SHARE
+        for _ in range(MORE_SCALE_STEPS):
+            further = torch.minimum(square, FAR**2 * var).mean(0) / NORMAL_SHARE
+            var = torch.where(further < FALLING * var, further, var)
         self.robust_std.copy_(var.sqrt())
 
 
-WHITENINGS: dict[str, type[RunningMoments]] = {
-    "moments": RunningMoments,
+WHITENINGS: dict[str, Callable[[int], RunningMoments]] = {
+    "moments": partial(RunningMoments, reach=WHITENED_BOUND),
     "robust": RobustMoments,
     "saturating": SaturatingMoments,
 }
@@ -250,6 +266,15 @@ class Standardization(nn.Module):
     def update(self, value: Float[Tensor, " batch"]) -> None:
         """Update the statistics from a batch."""
         self.moments.update(value.unsqueeze(-1))
+
+
+def replaced_by_mean(
+    value: Float[Tensor, " batch"], is_absurd: Bool[Tensor, " batch"]
+) -> Float[Tensor, " batch"]:
+    """Values, with the mean of the others in the place of absurd ones; all, where all are."""
+    is_usual = ~is_absurd
+    mean = torch.where(is_usual, value, 0.0).sum() / is_usual.sum().clamp(min=1)
+    return torch.where(is_usual | ~is_usual.any(), value, mean)
 
 
 def scrambled(number: Int[Tensor, "*batch"]) -> Int[Tensor, "*batch"]:

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from deep_curiosity.bonuses import BONUSES, Bonus, make_bonus
+from deep_curiosity.bonuses import BONUSES, Bonus, BonusLearner, make_bonus
 from deep_curiosity.transitions import Transition
 
 ROWS = 8
@@ -48,6 +48,32 @@ def test_an_observation_of_a_trillion_is_answered_with_a_number(name: str) -> No
         observation, action, following = asked.values()
         bonus.observe(Transition(observation, action, torch.zeros(ROWS), following, flags, flags))
         assert bonus(**asked).isfinite().all()
+
+
+def spread_over_usual_rows(name: str, absurd: float | None) -> float:
+    """Of the bonus over a thousand rows but for one that was absurd, after it has learned them."""
+    torch.manual_seed(0)
+    observation, action = torch.randn(1_000, 3), 2 * torch.rand(1_000, 2) - 1
+    following = observation + 0.2 * action[:, :1] + 0.05 * torch.randn(1_000, 3)
+    if absurd is not None:
+        observation[501] = following[500] = absurd
+    flags = torch.zeros(1_000, dtype=torch.bool)
+    rows = Transition(observation, action, torch.zeros(1_000), following, flags, flags)
+    learner = BonusLearner(make_bonus(name, 3, 2, hidden_dims=(16,)))
+    for _ in range(500):
+        chosen = torch.randint(0, 1_000, (64,))
+        learner.learn(Transition(*(field[chosen] for field in rows)))
+    usual = torch.ones(1_000, dtype=torch.bool)
+    usual[500:502] = False
+    return learner.compute(Transition(*(field[usual] for field in rows))).std().item()
+
+
+@pytest.mark.parametrize("name", BONUSES)
+def test_one_absurd_row_leaves_the_bonus_of_all_others_its_spread(name: str) -> None:
+    whole = spread_over_usual_rows(name, None)
+    assert whole > 0.02
+    for absurd in (1e6, 1e12):
+        assert spread_over_usual_rows(name, absurd) == pytest.approx(whole, rel=0.5)
 
 
 @pytest.mark.parametrize("name", BONUSES)

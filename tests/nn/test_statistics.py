@@ -12,6 +12,7 @@ from deep_curiosity.nn.statistics import (
     RunningMoments,
     SaturatingMoments,
     Standardization,
+    replaced_by_mean,
     scrambled,
 )
 
@@ -103,6 +104,39 @@ def test_all_state_is_in_the_state_dict():
 def test_a_memory_that_is_not_positive_is_rejected(memory):
     with pytest.raises(ValueError, match="`memory` must be positive"):
         RunningMoments(1, memory=memory)
+
+
+def test_a_reach_that_is_not_positive_is_rejected():
+    with pytest.raises(ValueError, match="`reach` must be positive, got 0"):
+        RunningMoments(1, reach=0.0)
+
+
+@pytest.mark.parametrize("absurd", [1e3, 1e12])
+def test_within_reach_one_absurd_row_widens_nothing(absurd):
+    rows = torch.randn(4_096, 2)
+    rows[1_000] = absurd
+    moments = RunningMoments(2, reach=10.0)
+    for part in rows.split(256):
+        moments.update(part)
+    assert moments.scale.tolist() == pytest.approx([1, 1], abs=0.08)
+    assert moments.mean.tolist() == pytest.approx([0, 0], abs=0.08)
+
+
+def test_what_has_moved_for_good_is_followed_within_reach():
+    moments = RunningMoments(1, memory=1_280.0, reach=10.0)
+    for shift in (0.0, 1e4):
+        for _ in range(60):
+            moments.update(shift + torch.randn(256, 1))
+    assert moments.mean.item() == pytest.approx(1e4, rel=1e-3)
+    assert moments.scale.item() < 100
+
+
+def test_the_mean_of_the_others_stands_for_what_is_absurd():
+    value = torch.tensor([1.0, 2.0, 3.0, 1e9])
+    is_absurd = torch.tensor([False, False, False, True])
+    assert replaced_by_mean(value, is_absurd).tolist() == [1.0, 2.0, 3.0, 2.0]
+    assert torch.equal(replaced_by_mean(value, ~(is_absurd | ~is_absurd)), value)
+    assert torch.equal(replaced_by_mean(value, is_absurd | ~is_absurd), value)
 
 
 def robust(rows, batch=256):
@@ -270,7 +304,7 @@ def test_a_tenth_of_all_rows_widens_a_saturating_scale():
 
 def test_far_values_count_by_their_logarithm_and_the_map_can_be_inverted():
     moments = saturating(torch.randn(2_000, 1))
-    value = torch.tensor([[0.01], [1e3], [1e4], [1e5]])
+    value = torch.tensor([[0.01], [1e2], [1e3], [1e4]])
     unit = moments.normalize(value)
     assert (unit[2:] - unit[1:3]).flatten().tolist() == pytest.approx([math.log(10)] * 2, rel=1e-3)
     back = moments.center + moments.scale * torch.sinh(unit)

@@ -4,11 +4,17 @@ from abc import abstractmethod
 from typing import ClassVar
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from torch import Tensor
 
 from deep_curiosity.bonuses.base import Bonus, Policy
-from deep_curiosity.nn.statistics import Every, RunningMoments, Standardization
+from deep_curiosity.nn.statistics import (
+    WHITENED_BOUND,
+    Every,
+    RunningMoments,
+    Standardization,
+    replaced_by_mean,
+)
 from deep_curiosity.transitions import (
     Transition,
     check_counts,
@@ -65,7 +71,7 @@ class BaselineBonus(Bonus):
         self.observation_dim = observation_dim
         self.action_dim = action_dim
         self.standardization = Standardization(weight=weight, center=center, scale=scale)
-        self.observation_moments = RunningMoments(observation_dim)
+        self.observation_moments = RunningMoments(observation_dim, reach=WHITENED_BOUND)
         self.every = Every(refresh_interval)
 
     def forward(
@@ -136,8 +142,15 @@ class BaselineBonus(Bonus):
         if len(scored.action):  # none of a first batch of one: the next is then due at once
             self.every.count()
             observation, action, _, next_observation, *_ = scored
-            self.standardization.update(self.score(observation, action, next_observation))
+            score = self.score(observation, action, next_observation)
+            is_absurd = self._is_absurd(observation) | self._is_absurd(next_observation)
+            self.standardization.update(replaced_by_mean(score, is_absurd))
             self.update_statistics(late, policy)  # only now: what is scored is not remembered yet
+
+    def _is_absurd(self, observation: Tensor) -> Bool[Tensor, " batch"]:
+        """Whether an entry is so far from the usual that whitening cuts it."""
+        whitened = self.observation_moments.normalize(observation)
+        return (whitened.abs() >= WHITENED_BOUND).any(-1)
 
     @property
     def should_skip(self) -> bool:
