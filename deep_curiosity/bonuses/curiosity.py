@@ -262,7 +262,7 @@ class CuriosityBonus(Bonus):
         if len(scored.action):  # none of a first batch of one: the next is then due at once
             self.every.count()
             score = self._score(scored.observation, scored.action)
-            is_absurd = self.dynamics.is_absurd(scored.observation)
+            is_absurd = self.dynamics.observation_moments.cuts(scored.observation)
             self.standardization.update(replaced_by_mean(score, is_absurd))
             if self.tuned_weight is not None and policy is not None:
                 self._tune_weight(self.tuned_weight, late)

@@ -12,13 +12,7 @@ from torch.nn.functional import softplus
 
 from deep_curiosity.gaussians import DiagonalMixture
 from deep_curiosity.nn.networks import StackedMLP, assign_rows, log_softmax_of_rest, restore_order
-from deep_curiosity.nn.statistics import (
-    HASH_FACTOR,
-    HASH_OFFSET,
-    WHITENED_BOUND,
-    WHITENINGS,
-    scrambled,
-)
+from deep_curiosity.nn.statistics import HASH_FACTOR, HASH_OFFSET, WHITENINGS, scrambled
 from deep_curiosity.transitions import Transition, check_counts, check_finite, is_number
 
 Whitening = Literal["moments", "robust", "saturating"]
@@ -240,13 +234,6 @@ class DynamicsEnsemble(nn.Module):
         return self.change_moments.denormalize(loc + torch.exp(0.5 * log_var) * noise)
 
     @torch.no_grad()
-    def is_absurd(
-        self, observation: Float[Tensor, "batch observation_dim"]
-    ) -> Bool[Tensor, " batch"]:
-        """Whether an entry is so far from the usual that whitening cuts it."""
-        whitened = self.observation_moments.normalize(observation)
-        return (whitened.abs() >= WHITENED_BOUND).any(-1)
-
     def observe(self, transition: Transition) -> None:
         """Update the statistics that whiten observations, features and changes.
 

@@ -100,6 +100,10 @@ class RunningMoments(nn.Module):
         """Centre, scale, and cut at 10 of its scales."""
         return ((value - self.center) / self.scale).clamp(-WHITENED_BOUND, WHITENED_BOUND)
 
+    def cuts(self, value: Float[Tensor, "batch dim"]) -> Bool[Tensor, " batch"]:
+        """Rows with an entry so far from the usual that `normalize` cuts it."""
+        return (self.normalize(value).abs() >= WHITENED_BOUND).any(-1)
+
     def denormalize(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch dim"]:
         """What `normalize` makes this value of, where it cuts nothing."""
         return self.center + self.scale * value

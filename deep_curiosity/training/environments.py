@@ -390,9 +390,7 @@ def registered_id(env_id: str) -> str:
     elif name.startswith("dm_control/"):
         require("shimmy", extra="dmc")
         with warnings.catch_warnings():  # packages that it imports have filters of their own
-            warnings.filterwarnings(
-                "ignore", module="glfw"
-            )  # of a display, for which nobody asked
+            warnings.filterwarnings("ignore", module="glfw")  # of a display that nobody wants
             importlib.import_module("shimmy")  # which registers them
     known = list(gymnasium.registry)
     for candidate in (name, f"deep_curiosity/{name}", f"deep_curiosity/{name}-v0"):

@@ -4,7 +4,7 @@ from abc import abstractmethod
 from typing import ClassVar
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor
 
 from deep_curiosity.bonuses.base import Bonus, Policy
@@ -143,14 +143,10 @@ class BaselineBonus(Bonus):
             self.every.count()
             observation, action, _, next_observation, *_ = scored
             score = self.score(observation, action, next_observation)
-            is_absurd = self._is_absurd(observation) | self._is_absurd(next_observation)
+            cuts = self.observation_moments.cuts
+            is_absurd = cuts(observation) | cuts(next_observation)
             self.standardization.update(replaced_by_mean(score, is_absurd))
             self.update_statistics(late, policy)  # only now: what is scored is not remembered yet
-
-    def _is_absurd(self, observation: Tensor) -> Bool[Tensor, " batch"]:
-        """Whether an entry is so far from the usual that whitening cuts it."""
-        whitened = self.observation_moments.normalize(observation)
-        return (whitened.abs() >= WHITENED_BOUND).any(-1)
 
     @property
     def should_skip(self) -> bool:
