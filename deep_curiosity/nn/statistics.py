@@ -220,7 +220,10 @@ class SaturatingMoments(RobustMoments):
             var = torch.minimum(square, FAR**2 * var).mean(0) / NORMAL_SHARE
         for _ in range(MORE_SCALE_STEPS):
             further = torch.minimum(square, FAR**2 * var).mean(0) / NORMAL_SHARE
-            var = torch.where(further < FALLING * var, further, var)
+            falls = further < FALLING * var
+            if not falls.any():
+                break
+            var = torch.where(falls, further, var)
         self.robust_std.copy_(var.sqrt())
 
 
