@@ -144,3 +144,22 @@ def test_what_is_said_of_dense_tasks_is_what_was_measured():
     )
     assert said.format(*times) in page
     assert {row["seed"] for row in rows} == {100, 101, 102}
+
+
+def test_what_is_said_of_the_sparse_cartpole_is_what_its_runs_returned():
+    page = " ".join((ROOT / "docs/development/README.md").read_text().split())
+    rows = rows_of("docs/development/cartpole.csv")
+
+    def returns(repeat, steps, changed="{}"):
+        own = [row for row in rows if (row["action_repeat"], row["task_steps"]) == (repeat, steps)]
+        return [f"{row['evaluation_return']:.0f}" for row in own if changed in row["changed"]]
+
+    default = returns(1, 50_000)
+    assert f"earns {default[0]} and {default[1]} after 50 000 steps" in page
+    assert f"sums of ten steps ({returns(1, 25_000, 'reward_steps')[0]} after 25 000)" in page
+    (held,) = returns(8, 50_000)
+    twice = returns(8, 100_000)
+    assert (
+        f"{held} after as many steps of the task on one seed, and {twice[0]} and {twice[1]}"
+        in page
+    )

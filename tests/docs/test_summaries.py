@@ -36,7 +36,11 @@ def typed(value):
 def tables():
     """Tables that name the commit of each row; older ones were summarised otherwise."""
     paths = [path for folder in FOLDERS for path in sorted((ROOT / folder).glob("*.csv"))]
-    return {str(path.relative_to(ROOT)): path for path in paths if "commit" in rows_of(path)[0]}
+    return {
+        str(path.relative_to(ROOT)): path
+        for path in paths
+        if path.with_suffix(".md").exists() and "commit" in rows_of(path)[0]
+    }
 
 
 def part_with_rows(name, rows):
