@@ -163,3 +163,14 @@ def test_what_is_said_of_the_sparse_cartpole_is_what_its_runs_returned():
         f"{held} after as many steps of the task on one seed, and {twice[0]} and {twice[1]}"
         in page
     )
+
+
+def test_what_is_said_of_the_noisy_room_is_what_was_measured():
+    page = " ".join((ROOT / "docs/sweeps/README.md").read_text().split())
+    rows = rows_of("docs/sweeps/noise-curiosity.csv")
+    noisy, late = (
+        float(interquartile_mean(np.array([row[name] for row in rows])))
+        for name in ("noisy_time", "late_coverage")
+    )
+    assert len(rows) == 10 and f"{late:.2f}" == "1.00"
+    assert f"{noisy:.2f} times a uniform walk's time beside the noise, with every cell" in page

@@ -12,9 +12,10 @@ from deep_curiosity.experiments.studies import find_study
 from deep_curiosity.experiments.tables import summarize
 
 ROOT = Path(__file__).parents[2]
-FOLDERS = ("docs/study", "docs/development", "docs/results")
+FOLDERS = ("docs/study", "docs/development", "docs/results", "docs/sweeps")
 TABLES = {  # whose names are not those of their studies
     "learned_prior": "development",
+    "noise-curiosity": "noise",
 }
 
 
