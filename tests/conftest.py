@@ -42,6 +42,7 @@ def tiny_config() -> Config:
     return Config.of(
         env_id="PendulumSwingup",
         env_kwargs={"action_cost": 0.1},
+        max_episode_steps=70,  # so that evaluations are short, and training is within one
         total_steps=60,
         hidden_dim=16,
         batch_size=32,

@@ -35,7 +35,7 @@ def test_a_video_is_written_where_something_renders(tiny, tmp_path):
         assert "error: MuJoCo could not start OpenGL" in played.stderr
         pytest.skip("nothing renders here")
     frames = np.stack(imageio.mimread(video))[..., :3]
-    assert len(frames) == 100
+    assert len(frames) == 70
     assert (frames[0] != frames[0, 0, 0]).any(-1).mean() > 0.01  # something is there
     assert (frames[0] != frames[-1]).any()  # and moves
 

@@ -36,7 +36,8 @@ def column(folder, name):
 @pytest.fixture
 def maze(tiny):
     """A run with two episodes that end in training, in a task that names its features."""
-    config = tiny.override(env_id="ReacherSparse", total_steps=210, learning_starts=180)
+    whole = {"max_episode_steps": None, "total_steps": 210, "learning_starts": 180}
+    config = tiny.override(env_id="ReacherSparse", **whole)
     train(config, show_progress=False)
     return config
 

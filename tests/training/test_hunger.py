@@ -260,7 +260,11 @@ def test_a_run_that_is_not_conditioned_is_played_at_no_other_hunger(tiny):
 
 def test_curiosity_past_the_end_of_the_episode_is_a_setting(tiny):
     rover = tiny.override(
-        env_id="BatteryRover", env_kwargs={}, total_steps=300, learning_starts=250
+        env_id="BatteryRover",
+        env_kwargs={},
+        max_episode_steps=None,
+        total_steps=300,
+        learning_starts=250,
     )
     weights = []
     for episodic in (True, False):
