@@ -174,3 +174,17 @@ def test_what_is_said_of_the_noisy_room_is_what_was_measured():
     )
     assert len(rows) == 10 and f"{late:.2f}" == "1.00"
     assert f"{noisy:.2f} times a uniform walk's time beside the noise, with every cell" in page
+
+
+def test_what_is_said_of_all_bonuses_is_what_their_runs_came_to():
+    page = " ".join((ROOT / "docs/study/README.md").read_text().split())
+    solved = {
+        agent: f"{sum(row['solved'] for row in own):.0f} of {len(own)}"
+        for (agent,), own in grouped(rows_of("docs/study/bonuses.csv"), "agent").items()
+    }
+    shared = {solved[name] for name in ("curiosity", "information-gain", "rnd")}
+    assert f"*Disagreement* solves {solved['disagreement']} runs, curiosity" in page
+    assert (
+        f"*rnd* {shared.pop()} each, *nearest-neighbours* {solved['nearest-neighbours']}," in page
+    )
+    assert not shared and solved["plain SAC"] == "0 of 6"
