@@ -15,7 +15,12 @@ from deep_curiosity.bonuses.marginal import NUM_MEASURED, NextStateMarginal
 from deep_curiosity.bonuses.weight_tuning import TunedWeight
 from deep_curiosity.gaussians import DiagonalMixture, gaussian_log_prob, sample_index
 from deep_curiosity.nn.networks import frozen
-from deep_curiosity.nn.statistics import Every, Standardization, replaced_by_mean
+from deep_curiosity.nn.statistics import (
+    WHITENED_BOUND,
+    Every,
+    Standardization,
+    replaced_by_mean,
+)
 from deep_curiosity.transitions import (
     Transition,
     check_counts,
@@ -201,7 +206,7 @@ class CuriosityBonus(Bonus):
                 observation=(observation, dim),
                 next_observation=(next_observation, dim),
             )
-        bonus = self.standardization(self._score(observation, action))
+        bonus = self.standardization(self._weigh(self._ask(observation, action)))
         return bonus if self.tuned_weight is None else self.tuned_weight.factor * bonus
 
     def nats(
@@ -261,9 +266,10 @@ class CuriosityBonus(Bonus):
         self._refresh()
         if len(scored.action):  # none of a first batch of one: the next is then due at once
             self.every.count()
-            score = self._score(scored.observation, scored.action)
-            is_absurd = self.dynamics.observation_moments.cuts(scored.observation)
-            self.standardization.update(replaced_by_mean(score, is_absurd))
+            prediction = self._ask(scored.observation, scored.action)
+            # what is so far off that whitening cut it is absurd, and no measure of the others
+            is_cut = (prediction.loc.abs() >= WHITENED_BOUND).flatten(-2).any(-1).any(0)
+            self.standardization.update(replaced_by_mean(self._weigh(prediction), is_cut))
             if self.tuned_weight is not None and policy is not None:
                 self._tune_weight(self.tuned_weight, late)
         self._remember(late)  # only now: what is scored is no component itself
@@ -359,14 +365,13 @@ class CuriosityBonus(Bonus):
         with frozen(self.dynamics):
             return self._of_interest(self.dynamics(observation, action))
 
-    def _score(self, observation: Tensor, action: Tensor) -> Float[Tensor, " batch"]:
-        """Raw reward in nats, by all members or by one for each pair."""
+    def _ask(self, observation: Tensor, action: Tensor) -> DiagonalMixture:
+        """Predictions that a bonus is made of, by all members or by one for each pair."""
         if self.dynamics.members == "all" or self.coefficients.information_gain:
-            return self._weigh(self._predict(observation, action))
+            return self._predict(observation, action)
         self._check_question(observation, action)
         with frozen(self.dynamics):
-            prediction = self.dynamics.round_robin(observation, action)
-        return self._weigh(self._of_interest(prediction))
+            return self._of_interest(self.dynamics.round_robin(observation, action))
 
     def _weigh(self, prediction: DiagonalMixture) -> Float[Tensor, " batch"]:
         """Weighted sum of the parts that are rewarded, in nats; no other part is computed."""
@@ -425,7 +430,7 @@ class CuriosityBonus(Bonus):
 
     def _tune_weight(self, tuned_weight: TunedWeight, late: Transition) -> None:
         """Let the weight follow what fresh actions earn at states that are no components yet."""
-        earned = self._score(late.observation, late.action).mean()
+        earned = self._weigh(self._ask(late.observation, late.action)).mean()
         if tuned_weight.goal is None:
             moments = self.standardization.moments
             earned = (earned - moments.mean[0]) / moments.scale[0]

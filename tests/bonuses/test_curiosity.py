@@ -843,7 +843,7 @@ def test_a_weight_with_a_goal_in_nats_rises_while_the_policy_earns_less(goal, ri
         bonus.observe(batch, staying)
     weight = bonus.metrics()["weight"].item()
     assert (weight > 0.1) is rises
-    standardised = bonus.standardization(bonus._score(batch.observation, batch.action))
+    standardised = bonus.standardization(bonus._weigh(bonus._ask(batch.observation, batch.action)))
     expected = weight / 0.1 * standardised
     torch.testing.assert_close(bonus(batch.observation, batch.action), expected)
 
