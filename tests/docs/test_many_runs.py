@@ -70,3 +70,11 @@ def test_what_is_said_of_quick_steps_and_of_updates_is_what_was_measured():
         f"at most {left[1]:.0f} are left with 1 environment, {left[4]:.0f} with 4, {left[16]:.0f} "
         f"with 16, and never more than {1e3 / update:.0f}"
     )
+
+
+def test_what_is_said_of_engines_is_what_was_measured():
+    first = [row for row in read_rows(BENCHMARK / "engines.csv") if row["repeat"] == 0]
+    seconds = {row["runner"]: row["seconds"] for row in first}
+    two = seconds["local, 2 workers"]
+    assert_said(f"two workers do {seconds['local, 1 worker'] / two:.2f} times what one does")
+    assert_said(f"Ray needs {seconds['ray, 2 workers'] / two - 1:.1%} more".replace("%", " %"))
