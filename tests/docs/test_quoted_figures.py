@@ -188,3 +188,19 @@ def test_what_is_said_of_all_bonuses_is_what_their_runs_came_to():
         f"*rnd* {shared.pop()} each, *nearest-neighbours* {solved['nearest-neighbours']}," in page
     )
     assert not shared and solved["plain SAC"] == "0 of 6"
+
+
+def test_what_is_said_of_the_second_illustration_is_what_was_measured():
+    page = " ".join((ROOT / "docs/study/README.md").read_text().split())
+    stays = {
+        agent: [f"{row['pi_stay']:.2f}" for row in own]
+        for (agent,), own in grouped(rows_of("docs/study/reliable.csv"), "agent").items()
+    }
+    assert f"stays with probability {' and '.join(stays['far-sighted'])}, where 0.74" in page
+    assert f"one step ahead {' and '.join(stays['one step'])}, where 0.5 is" in page
+
+
+def test_a_constant_bonus_earns_nothing():
+    assert "Neither run earns anything" in (ROOT / "docs/study/README.md").read_text()
+    rows = rows_of("docs/study/control.csv")
+    assert len(rows) == 2 and all(abs(row["evaluation_return"]) < 0.01 for row in rows)
