@@ -113,8 +113,9 @@ class RunningMoments(nn.Module):
         return torch.zeros_like(value)
 
     def _merge(self, value: Tensor) -> None:
-        bound = torch.where(self.count < 2, torch.inf, self.reach * self.scale)
-        value = torch.minimum(torch.maximum(value, self.center - bound), self.center + bound)
+        if self.reach < math.inf:
+            bound = torch.where(self.count < 2, torch.inf, self.reach * self.scale)
+            value = value.clamp(self.center - bound, self.center + bound)
         batch_mean = value.mean(0)
         batch_var = value.var(0, correction=0)
         self.count.add_(value.shape[0]).clamp_(max=max(self.memory, value.shape[0]))

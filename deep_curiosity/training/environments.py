@@ -259,9 +259,8 @@ def _make_vector(
 
 def _has_native(config: EnvironmentConfig) -> bool:
     """Whether MuJoCo steps all environments of a task in one call."""
-    if config.env_id == MADE_BY_FUNCTION or config.terminate_on_success:
-        return False
-    if config.action_repeat > 1:
+    is_changed = config.terminate_on_success or config.action_repeat > 1
+    if config.env_id == MADE_BY_FUNCTION or is_changed:
         return False
     return registered_id(config.env_id) in deep_curiosity_envs.TASK_IDS
 

@@ -48,6 +48,14 @@ def failed_index(error: Exception) -> int | None:
     return None
 
 
+def note(error: Exception, text: str) -> None:
+    """Have an error say more; before Python 3.11, where none takes a note, a warning says it."""
+    if hasattr(error, "add_note"):
+        error.add_note(text)
+    else:
+        warnings.warn(text, stacklevel=2)
+
+
 def close_at_once(environment: VectorEnv) -> None:
     """Close environments that were cut off within a call, waiting for none of their processes."""
     with warnings.catch_warnings(), suppress(Exception):

@@ -51,7 +51,7 @@ from deep_curiosity.training.environments import (
     observation_dim,
     task_spaces,
 )
-from deep_curiosity.training.failure import close_at_once, environment_failure
+from deep_curiosity.training.failure import close_at_once, environment_failure, note
 from deep_curiosity.training.hindsight import GoalFunctionError, make_hindsight
 from deep_curiosity.training.hunger import HungerFunction
 from deep_curiosity.training.interruption import Interrupted, is_interrupted
@@ -210,7 +210,7 @@ class Run:
             yield
         except Exception as error:
             out = self.config.run.out
-            error.add_note(f"{self._save_what_is_left()}; continue with --resume {out}.")
+            note(error, f"{self._save_what_is_left()}; continue with --resume {out}.")
             raise
 
     def _save_what_is_left(self) -> str:

@@ -1,4 +1,4 @@
-"""Figures in the text of README.md, each computed anew from the table that it is of."""
+"""Figures in the text of pages, each computed anew from the table that it is of."""
 
 import functools
 import statistics
@@ -11,11 +11,17 @@ from deep_curiosity.benchmark.tables import grouped, median, rate_over, read_row
 from deep_curiosity.experiments.statistics import interquartile_mean
 
 ROOT = Path(__file__).parents[2]
-BENCHMARK = ROOT / "docs/benchmark"
-README = " ".join((ROOT / "README.md").read_text().split())
 HORIZON = "docs/sweeps/horizon.csv"
 
 rows_of = functools.cache(lambda path: read_rows(ROOT / path))
+
+
+def text_of(path):
+    """A page as one line, wherever its own end."""
+    return " ".join((ROOT / path).read_text().split())
+
+
+README = text_of("README.md")
 
 
 def medians(path, key, column):
@@ -120,7 +126,7 @@ def test_at_half_the_horizon_the_pendulum_is_never_swung_up():
 
 
 def test_what_is_said_of_a_thousand_kills_is_what_came_of_them():
-    page = " ".join((ROOT / "docs/reliability/README.md").read_text().split())
+    page = text_of("docs/reliability/README.md")
     rows = rows_of("docs/reliability/torture.csv")
     faults = ("corrupt_checkpoints", "failed_resumes", "wrong_rows", "unequal_chains")
     assert sum(row["kills"] for row in rows) >= 1_000 and len(rows) == 4
@@ -129,7 +135,7 @@ def test_what_is_said_of_a_thousand_kills_is_what_came_of_them():
 
 
 def test_what_is_said_of_dense_tasks_is_what_was_measured():
-    page = " ".join((ROOT / "docs/development/README.md").read_text().split())
+    page = text_of("docs/development/README.md")
     rows = rows_of("docs/development/harm.csv")
     areas = {
         key: float(interquartile_mean(np.array([row["area"] for row in own])))
@@ -147,7 +153,7 @@ def test_what_is_said_of_dense_tasks_is_what_was_measured():
 
 
 def test_what_is_said_of_the_sparse_cartpole_is_what_its_runs_returned():
-    page = " ".join((ROOT / "docs/development/README.md").read_text().split())
+    page = text_of("docs/development/README.md")
     rows = rows_of("docs/development/cartpole.csv")
 
     def returns(repeat, steps, changed="{}"):
@@ -166,7 +172,7 @@ def test_what_is_said_of_the_sparse_cartpole_is_what_its_runs_returned():
 
 
 def test_what_is_said_of_the_noisy_room_is_what_was_measured():
-    page = " ".join((ROOT / "docs/sweeps/README.md").read_text().split())
+    page = text_of("docs/sweeps/README.md")
     rows = rows_of("docs/sweeps/noise-curiosity.csv")
     noisy, late = (
         float(interquartile_mean(np.array([row[name] for row in rows])))
@@ -177,7 +183,7 @@ def test_what_is_said_of_the_noisy_room_is_what_was_measured():
 
 
 def test_what_is_said_of_all_bonuses_is_what_their_runs_came_to():
-    page = " ".join((ROOT / "docs/study/README.md").read_text().split())
+    page = text_of("docs/study/README.md")
     solved = {
         agent: f"{sum(row['solved'] for row in own):.0f} of {len(own)}"
         for (agent,), own in grouped(rows_of("docs/study/bonuses.csv"), "agent").items()
@@ -191,7 +197,7 @@ def test_what_is_said_of_all_bonuses_is_what_their_runs_came_to():
 
 
 def test_what_is_said_of_the_second_illustration_is_what_was_measured():
-    page = " ".join((ROOT / "docs/study/README.md").read_text().split())
+    page = text_of("docs/study/README.md")
     stays = {
         agent: [f"{row['pi_stay']:.2f}" for row in own]
         for (agent,), own in grouped(rows_of("docs/study/reliable.csv"), "agent").items()
@@ -201,6 +207,6 @@ def test_what_is_said_of_the_second_illustration_is_what_was_measured():
 
 
 def test_a_constant_bonus_earns_nothing():
-    assert "Neither run earns anything" in (ROOT / "docs/study/README.md").read_text()
+    assert "Neither run earns anything" in text_of("docs/study/README.md")
     rows = rows_of("docs/study/control.csv")
     assert len(rows) == 2 and all(abs(row["evaluation_return"]) < 0.01 for row in rows)

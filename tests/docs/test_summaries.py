@@ -1,6 +1,5 @@
 """Summaries beside the tables of studies: each is what its rows give today."""
 
-import csv
 import re
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +8,7 @@ import pytest
 
 from deep_curiosity.experiments.grid import compare
 from deep_curiosity.experiments.studies import find_study
-from deep_curiosity.experiments.tables import summarize
+from deep_curiosity.experiments.tables import read_table, summarize
 
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("docs/study", "docs/development", "docs/results", "docs/sweeps")
@@ -20,10 +19,7 @@ TABLES = {  # whose names are not those of their studies
 
 
 def rows_of(path):
-    with path.open() as file:
-        return [
-            {name: typed(value) for name, value in row.items()} for row in csv.DictReader(file)
-        ]
+    return [{name: typed(value) for name, value in row.items()} for row in read_table(path)]
 
 
 def typed(value):

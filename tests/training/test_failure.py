@@ -3,7 +3,7 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from deep_curiosity.training.config import Config
-from deep_curiosity.training.failure import environment_failure, failed_index
+from deep_curiosity.training.failure import environment_failure, failed_index, note
 
 
 class Breaking(gymnasium.Wrapper):
@@ -30,3 +30,17 @@ def test_the_one_of_several_environments_that_raised_is_named():
 
 def test_a_single_environment_has_no_number():
     assert failed_index(ValueError("no traceback")) is None
+
+
+class Noteless(Exception):
+    """As before Python 3.11."""
+
+    add_note = property()
+
+
+def test_what_takes_no_note_is_told_by_a_warning():
+    error = ValueError("wrong")
+    note(error, "all is saved")
+    assert error.__notes__ == ["all is saved"]
+    with pytest.warns(UserWarning, match="all is saved"):
+        note(Noteless(), "all is saved")

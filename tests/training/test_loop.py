@@ -445,8 +445,12 @@ def stop_at(monkeypatch):
 def test_a_run_that_is_cut_off_goes_on_bit_for_bit(
     tiny, tmp_path, stop_at, monkeypatch, call, num_envs, step, sent
 ):
-    sparse = {"env_id": "ReacherSparse", "env_kwargs": {}, "max_episode_steps": None}
-    sparse["update_to_data"] = 0.1
+    sparse = {
+        "env_id": "ReacherSparse",
+        "env_kwargs": {},
+        "max_episode_steps": None,
+        "update_to_data": 0.1,
+    }
     whole = tiny.override(**sparse, num_envs=num_envs, out=tmp_path / "whole")
     if num_envs > 1:
         lasting = {"evaluation_interval": 200, "total_steps": 306} if step == 297 else {}

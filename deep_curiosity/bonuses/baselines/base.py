@@ -8,13 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from deep_curiosity.bonuses.base import Bonus, Policy
-from deep_curiosity.nn.statistics import (
-    WHITENED_BOUND,
-    Every,
-    RunningMoments,
-    Standardization,
-    replaced_by_mean,
-)
+from deep_curiosity.nn.statistics import WHITENINGS, Every, Standardization, replaced_by_mean
 from deep_curiosity.transitions import (
     Transition,
     check_counts,
@@ -71,7 +65,7 @@ class BaselineBonus(Bonus):
         self.observation_dim = observation_dim
         self.action_dim = action_dim
         self.standardization = Standardization(weight=weight, center=center, scale=scale)
-        self.observation_moments = RunningMoments(observation_dim, reach=WHITENED_BOUND)
+        self.observation_moments = WHITENINGS["moments"](observation_dim)
         self.every = Every(refresh_interval)
 
     def forward(

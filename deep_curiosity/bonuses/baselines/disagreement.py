@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from deep_curiosity.bonuses.base import Policy
 from deep_curiosity.bonuses.baselines.base import BaselineBonus, log_of_score
 from deep_curiosity.nn.networks import StackedMLP, frozen
-from deep_curiosity.nn.statistics import WHITENED_BOUND, RunningMoments
+from deep_curiosity.nn.statistics import WHITENINGS
 from deep_curiosity.transitions import Transition, check_counts
 
 
@@ -36,7 +36,7 @@ class PointEnsemble(nn.Module):
                 f"`num_members` must be at least 2 to measure disagreement, got {num_members}."
             )
         self.network = StackedMLP(num_members, in_features, hidden_dims, out_features)
-        self.outcome_moments = RunningMoments(out_features, reach=WHITENED_BOUND)
+        self.outcome_moments = WHITENINGS["moments"](out_features)
 
     def variance(
         self, features: Float[Tensor, "batch in_features"]
