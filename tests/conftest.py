@@ -1,14 +1,65 @@
-"""One thread, random stream and precision of its own for every test, and runs of a second."""
+"""One thread, random stream and precision of its own for every test, and runs of a second.
 
+Annotations are checked at every call, with the first parameters of each test, where that does not
+take more time than all else: not in `TRAINING`, nor of `deep_curiosity.tabular`, which checks its
+own.
+"""
+
+import pkgutil
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 
+import jaxtyping
 import pytest
 import torch
 
-from deep_curiosity.training import Config
-
 torch.set_num_threads(1)
+
+package = find_spec("deep_curiosity")
+assert package is not None
+jaxtyping.install_import_hook(
+    [
+        f"deep_curiosity.{module.name}"
+        for module in pkgutil.iter_modules(package.submodule_search_locations)
+        if module.name != "tabular"
+    ],
+    "beartype.beartype",
+)
+jaxtyping.config.update("jaxtyping_disable", True)  # while tests are collected
+
+from deep_curiosity.training import Config  # noqa: E402
+
+TRAINING = [
+    Path(__file__).parent / name
+    for name in (
+        "benchmark",
+        "cli",
+        "docs",
+        "experiments",
+        "integrations/check",
+        "speed",
+        "trained",
+        "training",
+        "test_examples.py",
+        "test_readme.py",
+    )
+]
+CHECKED = [
+    Path(__file__).parent / "training" / name for name in ("test_collector.py", "test_learner.py")
+]
+
+
+@pytest.fixture(autouse=True)
+def checked_annotations(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Tensors of another shape or type than annotated are refused."""
+    trains = any(request.path.is_relative_to(place) for place in TRAINING)
+    parameters = getattr(request.node, "callspec", None)
+    repeats = parameters is not None and any(parameters.indices.values())
+    checked = not repeats and (request.path in CHECKED or not trains)
+    jaxtyping.config.update("jaxtyping_disable", not checked)
+    yield
+    jaxtyping.config.update("jaxtyping_disable", True)
 
 
 @pytest.fixture(autouse=True)

@@ -15,6 +15,7 @@ def test_every_engine_has_its_turn_in_every_round(tmp_path, monkeypatch, capsys)
     assert capsys.readouterr().out.startswith("local, 1 worker: 4.5 [4, 5] s, 1 [1, 1] times")
 
 
+@pytest.mark.slow
 def test_a_study_is_timed_from_its_first_run_to_the_end_of_its_last(tmp_path):
     assert 0 < engines.time_study(lambda: LocalEngine(1), 1, 620, tmp_path) < 600
 

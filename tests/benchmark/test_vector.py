@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 
 from deep_curiosity.benchmark.figures import plot_slow, plot_vector
 from deep_curiosity.benchmark.run import write_page
@@ -28,6 +29,7 @@ def test_a_section_leaves_table_picture_and_page(tmp_path):
     assert (tmp_path / "vector.png").stat().st_size > 5_000
 
 
+@pytest.mark.slow
 def test_slow_environments_leave_table_picture_and_page(tmp_path):
     rows = measure_slow_environments(TASK_IDS[0], 0.01, (1, 2), repeats=2, steps=6)
     assert [(row["num_envs"], row["repeat"]) for row in rows] == [(1, 0), (1, 1), (2, 0), (2, 1)]

@@ -60,7 +60,7 @@ def spread_over_usual_rows(name: str, absurd: float | None) -> float:
     flags = torch.zeros(1_000, dtype=torch.bool)
     rows = Transition(observation, action, torch.zeros(1_000), following, flags, flags)
     learner = BonusLearner(make_bonus(name, 3, 2, hidden_dims=(16,)))
-    for _ in range(500):
+    for _ in range(300):
         chosen = torch.randint(0, 1_000, (64,))
         learner.learn(Transition(*(field[chosen] for field in rows)))
     usual = torch.ones(1_000, dtype=torch.bool)

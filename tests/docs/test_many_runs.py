@@ -10,6 +10,7 @@ from tests.docs.pages import run_blocks
 PAGE = Path(__file__).parents[2] / "docs/many_runs.md"
 
 
+@pytest.mark.slow
 def test_the_blocks_run_as_written(monkeypatch, tmp_path):
     pytest.importorskip("optuna")
     monkeypatch.chdir(tmp_path)

@@ -1,6 +1,7 @@
 import csv
 from pathlib import Path
 
+import pytest
 from stable_baselines3 import PPO, SAC
 
 from tests.docs.pages import run_blocks
@@ -8,6 +9,7 @@ from tests.docs.pages import run_blocks
 PAGE = Path(__file__).parents[2] / "docs/integrations/stable_baselines3.md"
 
 
+@pytest.mark.slow
 def test_the_blocks_run_as_written():
     names = run_blocks(PAGE)
     assert type(names["model"]) is type(names["again"]) is PPO

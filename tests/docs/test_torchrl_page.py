@@ -8,6 +8,7 @@ from tests.docs.pages import run_blocks
 PAGE = Path(__file__).parents[2] / "docs/integrations/torchrl.md"
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::DeprecationWarning:torchrl")
 @pytest.mark.filterwarnings("ignore:Creating .* which inherits from:DeprecationWarning")
 @pytest.mark.filterwarnings("ignore:The env passed to Collector is missing:FutureWarning")

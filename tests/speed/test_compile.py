@@ -282,6 +282,7 @@ def test_what_cannot_be_compiled_runs_as_it_is_where_that_is_asked_for():
     assert error == "Unsupported"
 
 
+@slow
 def test_one_process_compiles_as_many_agents_as_it_likes():
     (scaled,) = output_of(MANY)
     assert scaled == "[0.0, 1.0, 2.0, 3.0, 4.0, 5.0]"
