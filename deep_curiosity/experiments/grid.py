@@ -17,7 +17,14 @@ from deep_curiosity.experiments.progress import Progress
 from deep_curiosity.experiments.runs import find_finished, finished_key, run_own
 from deep_curiosity.experiments.statistics import probability_of_improvement
 from deep_curiosity.experiments.study import Cell, Result, Row, Study
-from deep_curiosity.experiments.tables import markdown_table, select, summarize, write_table
+from deep_curiosity.experiments.tables import markdown_table, summarize, write_table
+from deep_curiosity.experiments.together import (
+    are_comparable,
+    complete_agents,
+    groups_of,
+    plot_together,
+    summarize_together,
+)
 from deep_curiosity.training.interruption import terminated_like_interrupted
 
 CHOSEN = ("out", "seed")
@@ -25,7 +32,7 @@ CHOSEN = ("out", "seed")
 WRITING_SECONDS = 10.0  # from one writing of the tables to the next, while results come
 MANY_TO_COMPARE = 12  # agents: a table of all pairs would be longer than anyone reads
 
-ENDINGS = (".csv", "_curves.csv", ".md", ".png")
+ENDINGS = (".csv", "_curves.csv", ".md", ".png", "_together.png")
 """Of the files that a study writes: tables, summary, figure."""
 
 
@@ -105,8 +112,8 @@ def run_study(
     Args:
         study: What is run.
         runs: Folder that receives the folders of the runs; all machines of an engine share it.
-        out: Path without suffix of the table (.csv), the curves (_curves.csv), the summary (.md)
-            and the figure (.png).
+        out: Path without suffix of the table (.csv), the curves (_curves.csv), the summary (.md),
+            the figure (.png) and that of all tasks together (_together.png).
         workers: Processes at a time, where neither engine nor executor is given.
         engine: Where the runs are computed; it is closed at the end.
         executor: Anything of `concurrent.futures`, such as Dask's, instead of an engine.
@@ -250,10 +257,18 @@ def report(
         plot_curves(output_path(out, ".png"), study, rows, curves)
     else:
         plot_columns(output_path(out, ".png"), study, rows)
+    if study.curves and are_comparable(study) and complete_agents(study, rows):
+        plot_together(output_path(out, "_together.png"), study, rows, curves)
     failed = [f"- failed: {failure}" for failure in failures]
-    summary = "\n".join([summarize(study, rows), *compare(study, rows), *failed])
+    summary = "\n".join([summary_of(study, rows), *failed])
     output_path(out, ".md").write_text(summary.rstrip("\n") + "\n")
     print(summary)
+
+
+def summary_of(study: Study, rows: Sequence[Row]) -> str:
+    """Markdown: each task by itself, all of them together, and agents against each other."""
+    parts = [summarize(study, rows), *summarize_together(study, rows), *compare(study, rows)]
+    return "\n".join(parts)
 
 
 def compare(study: Study, rows: Sequence[Row]) -> list[str]:
@@ -263,16 +278,11 @@ def compare(study: Study, rows: Sequence[Row]) -> list[str]:
         return []
     column = study.columns[0]
     groups = {
-        agent: [select(rows, column, task=task.name, agent=agent) for task in study.tasks]
-        for agent in study.agents
+        agent: groups_of(study, rows, agent, column) for agent in complete_agents(study, rows)
     }
-    complete = [
-        agent
-        for agent in others
-        if [*map(len, groups[agent])] == [*map(len, groups[first])] and all(groups[agent])
-    ]
     lines = [
         [str(agent), str(probability_of_improvement(groups[first], groups[agent]))]
-        for agent in complete
+        for agent in others
+        if agent in groups
     ]
     return [markdown_table([f"{first} better than", f"probability, by {column}"], lines), ""]

@@ -171,10 +171,18 @@ def read_evaluations(folder: Path) -> list[tuple[int, float]]:
 
 def measure_area(config: Config, summary: "Row") -> list["Row"]:
     """Mean return over all scheduled evaluations, the area under the curve, and the last one."""
+    return [{"area": _area(config), "evaluation_return": summary["evaluation_return"]}]
+
+
+def measure_run_and_area(config: Config, summary: "Row") -> list["Row"]:
+    """All that `measure_run` gives, and the mean return over all scheduled evaluations."""
+    return [{"area": _area(config), **row} for row in measure_run(config, summary)]
+
+
+def _area(config: Config) -> float:
     evaluations = [
         value
         for step, value in read_evaluations(config.run.out)
         if step % config.run.evaluation_interval < config.environment.num_envs
     ]
-    area = sum(evaluations) / len(evaluations)
-    return [{"area": area, "evaluation_return": summary["evaluation_return"]}]
+    return sum(evaluations) / len(evaluations)

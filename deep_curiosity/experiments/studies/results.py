@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from deep_curiosity.experiments.runs import measure_run_and_area
 from deep_curiosity.experiments.studies.comparisons import CURIOSITY, PLAIN
 from deep_curiosity.experiments.studies.development import DENSE
 from deep_curiosity.experiments.study import Agents, Study, Task
@@ -74,8 +75,13 @@ DENSE_TASKS = [
     for env_id in ("HalfCheetah-v5", "Hopper-v5", "Walker2d-v5", "Ant-v5")
 ]
 
+MEASURED: dict[str, Any] = {
+    "columns": ("evaluation_return", "area", "solved_step"),
+    "measure": measure_run_and_area,
+    "curves": True,
+}
 STUDIES = {
-    "results": Study(SPARSE_TASKS, CURIOSITY | PLAIN | BASELINES, seeds=10, curves=True),
-    "results_others": Study(SPARSE_TASKS, CURIOSITY | OTHERS, seeds=5, curves=True),
-    "results_dense": Study(DENSE_TASKS, CURIOSITY | PLAIN, seeds=10, curves=True),
+    "results": Study(SPARSE_TASKS, CURIOSITY | PLAIN | BASELINES, seeds=10, **MEASURED),
+    "results_others": Study(SPARSE_TASKS, CURIOSITY | OTHERS, seeds=5, **MEASURED),
+    "results_dense": Study(DENSE_TASKS, CURIOSITY | PLAIN, seeds=10, **MEASURED),
 }

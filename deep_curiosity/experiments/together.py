@@ -1,0 +1,141 @@
+"""All tasks of a study together, in units of the return that counts as solved.
+
+Reference: Agarwal et al., "Deep Reinforcement Learning at the Edge of the Statistical Precipice"
+(2021), https://arxiv.org/abs/2108.13264; sections 4.2 and 4.3.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from deep_curiosity.experiments.figures import draw_curve, label_beside
+from deep_curiosity.experiments.statistics import Estimate, Groups, bootstrap
+from deep_curiosity.experiments.study import Row, Study, Task
+from deep_curiosity.experiments.tables import markdown_table, select
+
+COLUMNS = ("evaluation_return", "area")
+"""Of the rows that can be compared between tasks, as far as a study has them."""
+SHARES = np.linspace(0, 1, 21)
+LEVELS = np.linspace(0, 1.5, 31)
+
+
+def are_comparable(study: Study) -> bool:
+    """Whether a study has several tasks, and says of each what counts as solved."""
+    returns = [task.solved_return for task in study.tasks]
+    return study.label == "agent" and len(returns) > 1 and all(map(math.isfinite, returns))
+
+
+def complete_agents(study: Study, rows: Sequence[Row]) -> list[str | float]:
+    """The agents that have as many runs of each task as the first one, which has some of each."""
+    counts = {
+        agent: [len(select(rows, "seed", task=task.name, agent=agent)) for task in study.tasks]
+        for agent in study.agents
+    }
+    first = counts[next(iter(study.agents))]
+    return [agent for agent, own in counts.items() if own == first and all(own)]
+
+
+def groups_of(
+    study: Study, rows: Sequence[Row], agent: str | float, column: str, *, normalized: bool = False
+) -> Groups:
+    """Values of an agent's runs, a group for each task; if asked, in units of a solved return."""
+    return [
+        [
+            value / task.solved_return if normalized else value
+            for value in select(rows, column, task=task.name, agent=agent)
+        ]
+        for task in study.tasks
+    ]
+
+
+def summarize_together(study: Study, rows: Sequence[Row]) -> list[str]:
+    """Markdown: for each agent how much it solved of all tasks, and how well, with intervals."""
+    if not are_comparable(study):
+        return []
+    columns = [column for column in COLUMNS if all(column in row for row in rows)]
+    lines = []
+    for agent in complete_agents(study, rows):
+        solved = select(rows, "solved", agent=agent)
+        estimates = [
+            str(bootstrap(groups_of(study, rows, agent, column, normalized=True)))
+            for column in columns
+        ]
+        lines.append([str(agent), f"{solved.count(1)} of {len(solved)}", *estimates])
+    header = ["all tasks", "runs solved", *(f"{name}, solved is 1" for name in columns)]
+    return [markdown_table([text.replace("_", " ") for text in header], lines), ""]
+
+
+def plot_together(path: Path, study: Study, rows: Sequence[Row], curves: Sequence[Row]) -> None:
+    """Two panels: the curve over all tasks, and the share of runs that end above each return.
+
+    Args:
+        path: Of the figure.
+        study: With several tasks, each of which says what counts as solved.
+        rows: One of each run.
+        curves: Evaluations of each run.
+    """
+    figure = Figure(figsize=(11.2, 3.9), layout="constrained")
+    over_time, profile = figure.subplots(1, 2)
+    agents = complete_agents(study, rows)
+    _draw(over_time, SHARES, {agent: _curve(study, curves, agent) for agent in agents})
+    _draw(profile, LEVELS, {agent: _profile(study, rows, agent) for agent in agents})
+    num_tasks = f"{len(study.tasks)} tasks"
+    over_time.set(
+        title=f"Interquartile mean over {num_tasks}",
+        xlabel="share of the environment steps",
+        ylabel="evaluation return, solved is 1",
+    )
+    profile.set(
+        title=f"Runs that end at or above a return, {num_tasks}",
+        xlabel="evaluation return, solved is 1",
+        ylabel="share of runs",
+    )
+    figure.savefig(path, dpi=120)
+
+
+def _draw(
+    axes: Axes, points: np.ndarray, estimates: Mapping[str | float, Sequence[Estimate]]
+) -> None:
+    ends = {}
+    for number, (agent, own) in enumerate(estimates.items()):
+        draw_curve(axes, points.tolist(), own, f"C{number}")
+        ends[f"{agent}", f"C{number}"] = own[-1].value
+    label_beside(axes, ends)
+
+
+def _curve(study: Study, curves: Sequence[Row], agent: str | float) -> list[Estimate]:
+    """Interquartile mean of the latest evaluations, at each share of the budgets."""
+    groups = [_latest(task, curves, agent) for task in study.tasks]  # tasks x runs x shares
+    return [
+        bootstrap([runs[:, place].tolist() for runs in groups]) for place in range(len(SHARES))
+    ]
+
+
+def _latest(task: Task, curves: Sequence[Row], agent: str | float) -> np.ndarray:
+    """For each run its latest evaluation at each share of its steps; 0 before the first."""
+    own = [row for row in curves if (row["task"], row["agent"]) == (task.name, agent)]
+    latest = []
+    for seed in dict.fromkeys(row["seed"] for row in own):
+        steps = select(own, "step", seed=seed)
+        values = np.array([0.0, *select(own, "evaluation_return", seed=seed)])
+        number = np.searchsorted(steps, SHARES * task.config.run.total_steps, side="right")
+        latest.append(values[number] / task.solved_return)
+    return np.array(latest)
+
+
+def _profile(study: Study, rows: Sequence[Row], agent: str | float) -> list[Estimate]:
+    """Share of the runs that end at each level or above."""
+    groups = groups_of(study, rows, agent, "evaluation_return", normalized=True)
+    reached = [np.less_equal.outer(LEVELS, runs) for runs in groups]  # tasks x levels x runs
+    return [
+        bootstrap([runs[place].tolist() for runs in reached], _mean)
+        for place in range(len(LEVELS))
+    ]
+
+
+def _mean(values: np.ndarray) -> np.ndarray:
+    return np.asarray(values.mean(-1))

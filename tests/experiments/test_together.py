@@ -1,0 +1,91 @@
+"""All tasks of a study together."""
+
+from dataclasses import replace
+
+import pytest
+from matplotlib.figure import Figure
+
+from deep_curiosity.experiments.study import Study, Task
+from deep_curiosity.experiments.together import (
+    are_comparable,
+    complete_agents,
+    plot_together,
+    summarize_together,
+)
+from deep_curiosity.training import Config
+
+SHORT = Config.of(total_steps=1_000, learning_starts=100)
+TASKS = [Task("maze", SHORT, 10.0), Task("hill", SHORT.override(total_steps=2_000), 100.0)]
+STUDY = Study(TASKS, {"bold": {}, "shy": {}}, curves=True)
+RETURNS = {
+    ("maze", "bold"): 20.0,
+    ("hill", "bold"): 50.0,
+    ("maze", "shy"): 0.0,
+    ("hill", "shy"): 0.0,
+}
+
+
+def rows_of(study=STUDY, seeds=2):
+    return [
+        {"task": task.name, "agent": agent, "seed": seed, "evaluation_return": value}
+        | {"solved": int(value >= task.solved_return), "area": value / 2}
+        for seed in range(seeds)
+        for task in study.tasks
+        for agent in study.agents
+        for value in [RETURNS[task.name, agent]]
+    ]
+
+
+def test_returns_are_in_units_of_what_counts_as_solved():
+    header, _, bold, shy = summarize_together(STUDY, rows_of())[0].splitlines()
+    assert (
+        header
+        == "| all tasks | runs solved | evaluation return, solved is 1 | area, solved is 1 |"
+    )
+    # two runs at 20 of 10, two at 50 of 100; the middle half is one of each
+    assert bold == "| bold | 2 of 4 | 1.25 [1.25, 1.25] | 0.625 [0.625, 0.625] |"
+    assert shy == "| shy | 0 of 4 | 0 [0, 0] | 0 [0, 0] |"
+
+
+def test_an_agent_with_fewer_runs_than_the_first_is_left_out():
+    rows = rows_of()
+    assert complete_agents(STUDY, rows) == ["bold", "shy"]
+    assert complete_agents(STUDY, rows[:-1]) == ["bold"]
+    of_one_task = [row for row in rows if row["task"] == "maze"]
+    assert complete_agents(STUDY, of_one_task) == []
+
+
+@pytest.mark.parametrize(
+    "study",
+    [
+        replace(STUDY, tasks=TASKS[:1]),
+        replace(STUDY, tasks=[TASKS[0], Task("hill", SHORT)]),
+        replace(STUDY, label="hunger"),
+    ],
+)
+def test_what_cannot_be_compared_is_not(study):
+    assert are_comparable(STUDY) and not are_comparable(study)
+    assert summarize_together(study, []) == []
+
+
+def test_curves_of_different_lengths_are_joined_at_shares_of_their_steps(monkeypatch, tmp_path):
+    kept = []
+    monkeypatch.setattr(Figure, "savefig", lambda self, path, **options: kept.append(self))
+    curves = [
+        {"task": task.name, "agent": agent, "seed": seed, "step": int(share * total)}
+        | {"evaluation_return": share * RETURNS[task.name, agent]}
+        for task in TASKS
+        for total in [task.config.run.total_steps]
+        for agent in STUDY.agents
+        for seed in range(2)
+        for share in (0.5, 1.0)
+    ]
+    plot_together(tmp_path / "figure.png", STUDY, rows_of(), curves)
+    over_time, profile = kept[0].axes
+    bold, shy = over_time.lines
+    assert bold.get_ydata().tolist() == [0.0] * 10 + [0.625] * 10 + [1.25]
+    assert shy.get_ydata().tolist() == [0.0] * 21
+    levels, shares = profile.lines[0].get_data()
+    reached = dict(zip(levels.round(2).tolist(), shares.tolist(), strict=True))
+    assert (reached[0.0], reached[0.5], reached[0.55], reached[1.5]) == (1.0, 1.0, 0.5, 0.5)
+    assert [text.get_text() for text in over_time.texts] == ["shy", "bold"]
