@@ -54,6 +54,7 @@ from deep_curiosity.training.environments import (
 from deep_curiosity.training.failure import close_at_once, environment_failure, note
 from deep_curiosity.training.hindsight import GoalFunctionError, make_hindsight
 from deep_curiosity.training.hunger import HungerFunction
+from deep_curiosity.training.interfaces import Info
 from deep_curiosity.training.interruption import Interrupted, is_interrupted
 from deep_curiosity.training.learner import Learner, compiles, compiles_from
 from deep_curiosity.training.lease import Lease
@@ -99,6 +100,8 @@ class Run:
     """Whether the newest step is still to be evaluated and logged."""
     saved_step: int | None = None
     """Of the newest checkpoint."""
+    error_of_caller: Exception | None = None
+    """What a function of the caller's has raised, which is none of the environment's."""
 
     @property
     def all_steps_taken(self) -> bool:
@@ -159,11 +162,17 @@ class Run:
 
         Raises:
             EnvironmentFailedError: If the environment raises; all up to this step is saved.
+            Exception: What a hunger function raises, with a note; saved likewise.
             Interrupted: If the user requests a stop meanwhile; it is then not evaluated.
         """
+
+        def policy(observation: Tensor, info: Info) -> Tensor:
+            with self.saved_on_error():
+                return self.learner.evaluation_policy(observation, info)
+
         with self._saved_on_failure("an evaluation"):
             episodes = evaluate(
-                self.learner.evaluation_policy,
+                policy,
                 self.evaluation_environment,
                 episodes=self.config.run.evaluation_episodes,
                 seed=EVALUATION_SEED,
@@ -193,6 +202,8 @@ class Run:
         try:
             yield
         except errors as error:
+            if error is self.error_of_caller:
+                raise
             if is_interrupted():  # its processes may have heard the same signal
                 raise Interrupted from error
             raise environment_failure(
@@ -209,7 +220,7 @@ class Run:
         try:
             yield
         except Exception as error:
-            out = self.config.run.out
+            self.error_of_caller, out = error, self.config.run.out
             note(error, f"{self._save_what_is_left()}; continue with --resume {out}.")
             raise
 

@@ -2,6 +2,7 @@ import itertools
 import json
 import math
 
+import numpy as np
 import pytest
 
 from deep_curiosity.training import continue_run, train
@@ -103,3 +104,15 @@ def test_an_error_of_the_callers_own_function_loses_nothing(tiny, tmp_path, name
     for row in (row for table in rows for row in table):
         del row["time/steps_per_second"]
     assert rows[0] == rows[1]
+
+
+def test_a_hunger_function_that_raises_in_an_evaluation_is_told_apart_from_the_environment(tiny):
+    def fails_for_one(observation, info):
+        if len(observation) == 1:  # as in evaluations alone
+            raise ConnectionError("the service is down")
+        return np.ones(len(observation))
+
+    with pytest.raises(ConnectionError, match="service") as raised:
+        train(tiny.override(num_envs=2), show_progress=False, hunger=fails_for_one)
+    (note,) = raised.value.__notes__
+    assert note.startswith(f"all up to step {tiny.run.evaluation_interval} is saved; continue")
