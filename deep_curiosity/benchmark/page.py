@@ -5,6 +5,7 @@ from pathlib import Path
 
 from deep_curiosity.benchmark.agents import ACTION_DIM, NUM_FILLED, OBSERVATION_DIM, Row
 from deep_curiosity.benchmark.own_agent import STAGES
+from deep_curiosity.benchmark.peers import ADDRESSES
 from deep_curiosity.benchmark.switches import ALL_ON
 from deep_curiosity.benchmark.tables import (
     grouped,
@@ -45,9 +46,10 @@ def agents_section(out: Path) -> str:
 HalfCheetah-v5, batch 256, two layers of 256, one update for every environment step, {NUM_FILLED}
 transitions in replay. Every runner has a process of its own, and only one computes at a time.
 Stable-Baselines3's SAC (SB3) is taken as its users run it, with torch's own precision of matrix
-products, and with the precision that ours runs with. "Curious" is the default with the learned
-prior. By default the policy learns from every second transition of a batch, where it maximises one
-critic of each pair, each transition trains one model and its bonus comes from one model, and the
+products, and with the precision that ours runs with; SBX's (JAX) and MaxInfoRL's are beside it
+where they are installed (`deep_curiosity/benchmark/peers.py`). "Curious" is the default with the
+learned prior. By default the policy learns from every second transition of a batch, where it
+maximises one critic of each pair, each transition trains one model and its bonus comes from one model, and the
 marginal is renewed at every {CuriosityConfig.refresh_interval}th update. "Exact" is the preset of
 that name: policy and models learn from all transitions, the policy maximises the smaller of two
 critics, as that of SB3 does, every bonus is the mean of all models, and the marginal is renewed at
@@ -70,14 +72,17 @@ the process. A million transitions of replay take {replay_megabytes():.0f} MB.
 
 
 def rates_table(rows: Sequence[Row], processes: dict[str, Row]) -> str:
-    """Steps per second, ratios to Stable-Baselines3, time to the first update, memory."""
+    """Steps per second, ratios to other libraries' agents, time to the first update, memory."""
     groups = {str(name): own for (name,), own in grouped(rows, "runner").items()}
+    references = {"SB3": AS_USED, "SB3, our precision": SAME_PRECISION} | {
+        name: name for name in groups if name.startswith(tuple(ADDRESSES))
+    }
     lines = []
     for name, own in groups.items():
         process = processes[name]
         ratios = [
             summarize(own, rate_over(rows, reference)) if reference in groups else ""
-            for reference in (AS_USED, SAME_PRECISION)
+            for reference in references.values()
         ]
         lines.append(
             [
@@ -88,7 +93,7 @@ def rates_table(rows: Sequence[Row], processes: dict[str, Row]) -> str:
                 f"{process['peak_megabytes']:.0f}",
             ]
         )
-    header = ["agent", "steps per second", "to SB3", "to SB3, our precision"]
+    header = ["agent", "steps per second", *(f"to {name}" for name in references)]
     return markdown_table([*header, "first update, s", "peak MB"], lines)
 
 

@@ -13,6 +13,7 @@ from deep_curiosity.benchmark import figures, page
 from deep_curiosity.benchmark.agents import Row, measure_agents
 from deep_curiosity.benchmark.costs import measure_bonus, measure_devices, measure_growth
 from deep_curiosity.benchmark.own_agent import OwnAgent
+from deep_curiosity.benchmark.peers import installed_peers
 from deep_curiosity.benchmark.runners import Runner, import_runner
 from deep_curiosity.benchmark.switches import measure_switches
 from deep_curiosity.benchmark.vector import (
@@ -113,7 +114,7 @@ class LeftOutError(Exception):
 
 
 def measure_all_agents(benchmark: Benchmark) -> Tables:
-    """Ours, compiled and eager, and Stable-Baselines3's, with its precision and with ours."""
+    """Ours, compiled and eager, Stable-Baselines3's, with its precision and ours, and peers."""
     precision = torch.get_float32_matmul_precision()
     own = {
         f"{name}, {how}": config.override(compile=switch, matmul_precision=precision)
@@ -124,6 +125,7 @@ def measure_all_agents(benchmark: Benchmark) -> Tables:
         **{name: partial(OwnAgent, config) for name, config in own.items()},
         page.AS_USED: partial(import_runner, STABLE_BASELINES, ENV_ID, "highest"),
         page.SAME_PRECISION: partial(import_runner, STABLE_BASELINES, ENV_ID, precision),
+        **installed_peers(ENV_ID),
         **{name: partial(import_runner, address) for name, address in benchmark.peers.items()},
     }
     rows, processes = measure_agents(

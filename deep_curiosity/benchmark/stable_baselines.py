@@ -1,4 +1,4 @@
-"""Stable-Baselines3's soft actor-critic as a runner: the pattern of an adapter."""
+"""Stable-Baselines3's soft actor-critic as a runner, or one built on it: a pattern of adapters."""
 # ruff: noqa: E402  # what is missing is reported before anything needs it
 
 from deep_curiosity.requirements import require
@@ -11,6 +11,7 @@ import gymnasium
 import numpy as np
 import torch
 from stable_baselines3 import SAC
+from stable_baselines3.common.off_policy_algorithm import OffPolicyAlgorithm
 
 from deep_curiosity.benchmark.own_agent import NUM_RANDOM_STEPS
 from deep_curiosity.speed.machine import MatmulPrecision
@@ -23,14 +24,29 @@ class StableBaselines:
         env_id: Task.
         precision: Of matrix products; torch's own default is `"highest"`.
         device: Of networks and updates.
+        agent_class: Stable-Baselines3's agent, or one that is built as it is.
+        **options: Further arguments of the agent.
     """
 
     def __init__(
-        self, env_id: str, precision: MatmulPrecision = "highest", device: str = "cpu"
+        self,
+        env_id: str,
+        precision: MatmulPrecision = "highest",
+        device: str = "cpu",
+        *,
+        agent_class: type[OffPolicyAlgorithm] = SAC,
+        **options: Any,
     ) -> None:
         torch.set_float32_matmul_precision(precision)
         self._environment = gymnasium.make(env_id)
-        self._agent = SAC("MlpPolicy", self._environment, learning_starts=0, seed=0, device=device)
+        self._agent = agent_class(
+            policy="MlpPolicy",
+            env=self._environment,
+            learning_starts=0,
+            seed=0,
+            device=device,
+            **options,
+        )
 
     def fill(self, num_transitions: int) -> None:
         """Take some random steps, and repeat them in replay."""
