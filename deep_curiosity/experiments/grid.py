@@ -19,9 +19,9 @@ from deep_curiosity.experiments.statistics import probability_of_improvement
 from deep_curiosity.experiments.study import Cell, Result, Row, Study
 from deep_curiosity.experiments.tables import markdown_table, summarize, write_table
 from deep_curiosity.experiments.together import (
-    are_comparable,
     complete_agents,
     groups_of,
+    have_joint_curve,
     plot_together,
     summarize_together,
 )
@@ -257,7 +257,7 @@ def report(
         plot_curves(output_path(out, ".png"), study, rows, curves)
     else:
         plot_columns(output_path(out, ".png"), study, rows)
-    if study.curves and are_comparable(study) and complete_agents(study, rows):
+    if study.curves and have_joint_curve(study, rows):
         plot_together(output_path(out, "_together.png"), study, rows, curves)
     failed = [f"- failed: {failure}" for failure in failures]
     summary = "\n".join([summary_of(study, rows), *failed])

@@ -29,6 +29,17 @@ def are_comparable(study: Study) -> bool:
     return study.label == "agent" and len(returns) > 1 and all(map(math.isfinite, returns))
 
 
+def is_measured(rows: Sequence[Row], column: str) -> bool:
+    """Whether every run has a number in a column, which a study's own measure decides."""
+    return all(isinstance(row.get(column), int | float) for row in rows)
+
+
+def have_joint_curve(study: Study, rows: Sequence[Row]) -> bool:
+    """Whether the runs of at least the first agent can be shown together."""
+    is_known = is_measured(rows, "evaluation_return")
+    return are_comparable(study) and is_known and bool(complete_agents(study, rows))
+
+
 def complete_agents(study: Study, rows: Sequence[Row]) -> list[str | float]:
     """The agents that have as many runs of each task as the first one, which has some of each."""
     counts = {
@@ -56,7 +67,7 @@ def summarize_together(study: Study, rows: Sequence[Row]) -> list[str]:
     """Markdown: for each agent how much it solved of all tasks, and how well, with intervals."""
     if not are_comparable(study):
         return []
-    columns = [column for column in COLUMNS if all(column in row for row in rows)]
+    columns = [column for column in COLUMNS if is_measured(rows, column)]
     lines = []
     for agent in complete_agents(study, rows):
         solved = select(rows, "solved", agent=agent)

@@ -68,6 +68,12 @@ def test_what_cannot_be_compared_is_not(study):
     assert summarize_together(study, []) == []
 
 
+def test_what_a_study_measures_otherwise_has_no_joint_mean():
+    rows = [{**row, "area": None} for row in rows_of()]
+    del rows[0]["evaluation_return"]
+    assert summarize_together(STUDY, rows)[0].splitlines()[2] == "| bold | 2 of 4 |"
+
+
 def test_curves_of_different_lengths_are_joined_at_shares_of_their_steps(monkeypatch, tmp_path):
     kept = []
     monkeypatch.setattr(Figure, "savefig", lambda self, path, **options: kept.append(self))
