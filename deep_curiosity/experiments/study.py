@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,11 +23,14 @@ class Task:
         name: In tables and figures.
         config: Settings of its runs, but for what an agent changes and the seed.
         solved_return: Evaluation return from which a run counts as solved; NaN where none does.
+        is_shown_apart: Whether it is left out of what is said of all tasks together, such as a
+            task on which the default was chosen.
     """
 
     name: str
     config: Config
     solved_return: float = math.nan
+    is_shown_apart: bool = False
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,12 @@ class Study:
                 raise ValueError(f"`{name}` must have names, each of its own, got {known}.")
         if self.run is run_own:
             self._check_settings()
+
+    @property
+    def joint(self) -> "Study":
+        """The study of the tasks of which something is said together; of all where none is."""
+        tasks = [task for task in self.tasks if not task.is_shown_apart]
+        return replace(self, tasks=tasks or self.tasks)
 
     def _check_settings(self) -> None:
         """Refuse settings of an agent that its runs could not have."""

@@ -6,6 +6,7 @@ Reference: Agarwal et al., "Deep Reinforcement Learning at the Edge of the Stati
 
 import math
 from collections.abc import Mapping, Sequence
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -70,7 +71,7 @@ def summarize_together(study: Study, rows: Sequence[Row]) -> list[str]:
     columns = [column for column in COLUMNS if is_measured(rows, column)]
     lines = []
     for agent in complete_agents(study, rows):
-        solved = select(rows, "solved", agent=agent)
+        solved = [*chain(*groups_of(study, rows, agent, "solved"))]
         estimates = [
             str(bootstrap(groups_of(study, rows, agent, column, normalized=True)))
             for column in columns

@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 from matplotlib.figure import Figure
 
+from deep_curiosity.experiments.grid import summary_of
 from deep_curiosity.experiments.study import Study, Task
 from deep_curiosity.experiments.together import (
     are_comparable,
@@ -16,7 +17,7 @@ from deep_curiosity.training import Config
 
 SHORT = Config.of(total_steps=1_000, learning_starts=100)
 TASKS = [Task("maze", SHORT, 10.0), Task("hill", SHORT.override(total_steps=2_000), 100.0)]
-STUDY = Study(TASKS, {"bold": {}, "shy": {}}, curves=True)
+STUDY = Study(TASKS, {"bold": {}, "shy": {}}, columns=("evaluation_return",), curves=True)
 RETURNS = {
     ("maze", "bold"): 20.0,
     ("hill", "bold"): 50.0,
@@ -66,6 +67,17 @@ def test_an_agent_with_fewer_runs_than_the_first_is_left_out():
 def test_what_cannot_be_compared_is_not(study):
     assert are_comparable(STUDY) and not are_comparable(study)
     assert summarize_together(study, []) == []
+
+
+def test_a_task_that_is_shown_apart_counts_by_itself_alone():
+    apart = replace(TASKS[1], is_shown_apart=True)
+    study = replace(STUDY, tasks=[*TASKS[:1], replace(TASKS[0], name="cave"), apart])
+    rows = rows_of() + [row | {"task": "cave"} for row in rows_of() if row["task"] == "maze"]
+    summary = summary_of(study, rows)
+    assert "| hill | bold | 0 of 2 | 50 [50, 50] |" in summary
+    assert "| bold | 4 of 4 | 2 [2, 2] | 1 [1, 1] |" in summary
+    assert "| shy | 1 [1, 1] |" in summary  # bold better than it
+    assert replace(study, tasks=[apart]).joint.tasks == [apart]
 
 
 def test_what_a_study_measures_otherwise_has_no_joint_mean():

@@ -31,6 +31,7 @@ def sparse(
     solved_return: float,
     env_id: str | None = None,
     env_kwargs: dict[str, Any] | None = None,
+    is_shown_apart: bool = False,
 ) -> Task:
     """A task whose reward is sparse, with the settings that the protocol states.
 
@@ -41,6 +42,7 @@ def sparse(
         solved_return: Evaluation return from which it counts as solved.
         env_id: Of the task; its name where it is left out.
         env_kwargs: Arguments of the task.
+        is_shown_apart: Whether the default was chosen on it.
     """
     config = Config.of(
         env_id=name if env_id is None else env_id,
@@ -50,7 +52,7 @@ def sparse(
         log_interval=1_000,
         hidden_dim=NARROW if entries <= MOST_ENTRIES else WIDE,
     )
-    return Task(name, config, solved_return)
+    return Task(name, config, solved_return, is_shown_apart)
 
 
 CAR = "MountainCarContinuous-v0"
@@ -65,7 +67,7 @@ SPARSE_TASKS = [
     sparse("PointMaze_Medium-v3", 50_000, 8, 200.0),
     sparse("AdroitHandDoorSparse-v1", 50_000, 39, 100.0),
     sparse("ReacherSparse", 100_000, 10, 50.0),
-    sparse(CAR, 16_000, 2, 90.0),
+    sparse(CAR, 16_000, 2, 90.0, is_shown_apart=True),
     sparse(f"{CAR}, dear actions", 16_000, 2, 85.0, COST, {"env_id": CAR, "action_cost": 0.1}),
     sparse(f"{CAR}, noise switch", 16_000, 4, 90.0, SWITCH, {"env_id": CAR}),
     sparse("PendulumSwingup, noise switch", 16_000, 5, 100.0, SWITCH, {"env_id": PENDULUM}),
