@@ -34,8 +34,10 @@ from deep_curiosity.training.frame_stack import FrameStack, VectorFrameStack
 from deep_curiosity.training.spaces import Entry, TaskSpaces
 from deep_curiosity.training.wrappers import ActionRepeat, PlainSteps, VectorObservation
 
-GOAL_ENDS_EPISODE = frozenset({"MountainCarContinuous-v0"})
-"""Tasks that say nothing of success, but terminate at the goal and nowhere else."""
+GOAL_ENDS_EPISODE = frozenset(
+    {"gymnasium.envs.classic_control.continuous_mountain_car:Continuous_MountainCarEnv"}
+)
+"""Classes of tasks that say nothing of success, but terminate at the goal and nowhere else."""
 MAX_EPISODE_STEPS = 1_000
 """Steps after which an episode is cut off where neither the task nor the user limits it."""
 MAX_ACTION = 1e9
@@ -125,9 +127,10 @@ def _make(
     config: EnvironmentConfig, source: EnvSpec | MakeEnv, render_mode: str | None = None
 ) -> gymnasium.Env:
     task, limit = _make_task(config, source, render_mode)
+    innermost = type(task.unwrapped)  # its `spec` is that of the last one made around it
     environment: gymnasium.Env = PlainSteps(
         task,
-        termination_is_success=isinstance(source, EnvSpec) and source.id in GOAL_ENDS_EPISODE,
+        termination_is_success=f"{innermost.__module__}:{innermost.__name__}" in GOAL_ENDS_EPISODE,
         terminate_on_success=config.terminate_on_success,
     )
     if limit is not None:

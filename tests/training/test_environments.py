@@ -57,12 +57,23 @@ def test_short_names_are_ours():
     assert picture_features(EnvironmentConfig("PendulumSwingup", frame_stack=2)) == (4, 6)
 
 
-def test_reaching_the_goal_of_mountain_car_is_success():
-    environment = make_environment(EnvironmentConfig("MountainCarContinuous-v0"))
+@pytest.mark.parametrize("env_id", ["MountainCarContinuous-v0", "ActionCost", "NoiseSwitch"])
+def test_reaching_the_goal_of_mountain_car_is_success_whatever_is_around_it(env_id):
+    environment = make_environment(EnvironmentConfig(env_id))
+    environment.reset(seed=0)
+    push = np.ones(environment.action_space.shape, np.float32)
+    assert environment.step(0 * push)[4]["is_success"] is False
+    environment.unwrapped.state = np.array([0.449, 0.07])
+    assert environment.step(push)[4]["is_success"] is True
+
+
+def test_the_goal_of_mountain_car_is_success_where_a_function_makes_it():
+    config = EnvironmentConfig(environments.MADE_BY_FUNCTION)
+    environment = make_environment(
+        config, make_env=lambda: gymnasium.make("MountainCarContinuous-v0")
+    )
     environment.reset(seed=0)
     assert environment.step(np.zeros(1, np.float32))[4]["is_success"] is False
-    environment.unwrapped.state = np.array([0.449, 0.07])
-    assert environment.step(np.ones(1, np.float32))[4]["is_success"] is True
 
 
 def test_dm_control_dictionaries_become_vectors():
