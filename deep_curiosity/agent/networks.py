@@ -14,7 +14,7 @@ import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
-from torch.nn.functional import softplus
+from torch.nn.functional import logsigmoid, softplus
 
 from deep_curiosity.gaussians import DiagonalMixture
 from deep_curiosity.nn.networks import StackedMLP, assign_rows, log_softmax_of_rest, restore_order
@@ -23,6 +23,10 @@ from deep_curiosity.transitions import check_counts
 Value = TypeVar("Value", Tensor, np.ndarray)
 LOG_STD_RANGE = (-5.0, 2.0)  # below -5 the tanh density is sharper than float32 resolves
 LOG_STD_FLOOR = math.log(0.05)  # of a prior's component, pre-squash: no habit is narrower
+MOST_HABIT = 2.0  # mean of a prior's component, pre-squash: 0.96 of a full action
+FIRST_LOGIT = (
+    2.0  # of a component's standard deviation, which is then 0.88, as of a uniform action
+)
 UNIFORM_EDGE = 1 - 1e-6  # atanh is infinite at the edge of the action box
 OF_REWARD, OF_OTHERS = slice(0, 2), slice(2, None)  # critics
 NUM_PRIOR_SAMPLES = 256  # for the reported divergence of the prior from uniform
@@ -235,6 +239,9 @@ class LearnedPrior(Prior):
 
     With a learned prior a policy that ignores the state costs nothing, so prior and policy could
     shrink together to a point. Two floors forbid it: a uniform share and a least component width.
+    Nor may they run off together to where `tanh` tells no two actions apart, but pre-actions do:
+    the rate would be spent on differences that are none in the world. Means lie within
+    `MOST_HABIT`, standard deviations within 1, and what goes further pays for it.
 
     Args:
         action_dim: Length of an action.
@@ -256,16 +263,17 @@ class LearnedPrior(Prior):
         if not 0 < uniform_share < 1:
             raise ValueError(f"`uniform_share` must lie inside (0, 1), got {uniform_share}.")
         self.uniform_share = uniform_share
-        self.loc = nn.Parameter(torch.randn(components, action_dim))
-        self.raw_log_std = nn.Parameter(torch.zeros(components, action_dim))
+        self.raw_loc = nn.Parameter(torch.randn(components, action_dim))
+        self.raw_std = nn.Parameter(torch.full((components, action_dim), FIRST_LOGIT))
         self.logits = nn.Parameter(torch.zeros(components))
 
     @property
     def habit(self) -> DiagonalMixture:
         """The learned part of the density."""
-        floor = torch.full_like(self.raw_log_std, LOG_STD_FLOOR)
-        log_std = torch.logaddexp(self.raw_log_std, floor)
-        return DiagonalMixture(self.loc, 2 * log_std, torch.log_softmax(self.logits, dim=0))
+        loc = MOST_HABIT * torch.tanh(self.raw_loc / MOST_HABIT)
+        floor = torch.full_like(self.raw_std, LOG_STD_FLOOR)
+        log_std = torch.logaddexp(logsigmoid(self.raw_std), floor)
+        return DiagonalMixture(loc, 2 * log_std, torch.log_softmax(self.logits, dim=0))
 
     def log_prob(self, pre_action: Float[Tensor, "*batch action_dim"]) -> Float[Tensor, "*batch"]:
         """Log density of each pre-action, in nats."""
@@ -295,8 +303,8 @@ class LearnedPrior(Prior):
     def metrics(self) -> dict[str, Tensor]:
         """How far the prior is from uniform, in nats, always over the same samples."""
         generator = torch.Generator().manual_seed(0)  # leaves the global stream where it is
-        noise = torch.randn(NUM_PRIOR_SAMPLES, self.loc.shape[1], generator=generator)
-        return {"prior_kl_to_uniform": self.kl_to_uniform(noise.to(self.loc))}
+        noise = torch.randn(NUM_PRIOR_SAMPLES, self.raw_loc.shape[1], generator=generator)
+        return {"prior_kl_to_uniform": self.kl_to_uniform(noise.to(self.raw_loc))}
 
 
 PRIORS: dict[str, type[Prior]] = {"uniform": UniformPrior, "learned": LearnedPrior}

@@ -15,6 +15,7 @@ from torch.distributions.transforms import TanhTransform
 from deep_curiosity.agent.networks import (
     LOG_STD_FLOOR,
     LOG_STD_RANGE,
+    MOST_HABIT,
     Critics,
     GaussianPolicy,
     LearnedPrior,
@@ -174,25 +175,26 @@ def test_the_learned_density_integrates_to_one(fitted):
 @pytest.mark.parametrize("uniform_share", [0.1, 0.9])
 def test_any_density_integrates_to_one(uniform_share):
     marginal = random_prior(uniform_share=uniform_share)
-    peaks = marginal.loc.flatten().tolist()
+    peaks = marginal.habit.loc.flatten().tolist()
     total, _ = integrate.quad(lambda u: density(marginal, u), -500, 500, points=peaks, limit=500)
     assert total == pytest.approx(1, abs=1e-6)
 
 
 def test_the_density_is_the_mixture_it_says_it_is():
     marginal = LearnedPrior(1, components=1, uniform_share=0.25).double()
-    marginal.loc.data.fill_(0.5)
-    marginal.raw_log_std.data.fill_(math.log(0.95))  # plus the floor of 0.05: one
+    marginal.raw_loc.data.fill_(MOST_HABIT * math.atanh(0.5 / MOST_HABIT))
+    marginal.raw_std.data.fill_(math.log(0.55 / 0.45))  # plus the floor of 0.05: 0.6
     for pre_action in (-2.0, 0.0, 3.0):
-        habit = Normal(0.5, 1.0).log_prob(torch.tensor(pre_action)).exp().item()
+        habit = Normal(0.5, 0.6).log_prob(torch.tensor(pre_action)).exp().item()
         expected = 0.75 * habit + 0.25 * math.exp(log_uniform(pre_action))
         assert density(marginal, pre_action) == pytest.approx(expected, rel=1e-6)
 
 
 def test_the_uniform_share_is_a_floor_of_the_density():
     marginal = random_prior(action_dim=3, uniform_share=0.2)
-    marginal.loc.data.fill_(50.0)  # habits far from every point
-    pre_action = torch.randn(100, 3, dtype=torch.float64) * 4
+    marginal.raw_loc.data.fill_(-50.0)  # habits far from every point
+    marginal.raw_std.data.fill_(-50.0)
+    pre_action = torch.rand(100, 3, dtype=torch.float64) * 4
     uniform = UniformPrior(3).log_prob(pre_action) - 3 * math.log(2)
     floor = uniform + math.log(0.2)
     assert (marginal.log_prob(pre_action) >= floor - 1e-9).all()
@@ -201,10 +203,33 @@ def test_the_uniform_share_is_a_floor_of_the_density():
 
 def test_no_habit_is_narrower_than_the_floor():
     marginal = LearnedPrior(1, components=1).double()
-    marginal.raw_log_std.data.fill_(-50.0)
-    marginal.loc.data.zero_()
+    marginal.raw_std.data.fill_(-50.0)
+    marginal.raw_loc.data.zero_()
     peak = 0.9 / (math.sqrt(2 * math.pi) * math.exp(LOG_STD_FLOOR)) + 0.1 * 0.5
     assert density(marginal, 0.0) == pytest.approx(peak, rel=1e-6)
+
+
+@pytest.mark.parametrize("edge", [-1e4, 1e4])
+def test_no_habit_lies_where_actions_are_one_and_pre_actions_are_not(edge):
+    """A policy that ran off to there with its prior would spend its rate on nothing."""
+    marginal = LearnedPrior(1)
+    for parameter in (marginal.raw_loc, marginal.raw_std):
+        parameter.data.fill_(edge)
+    assert marginal.habit.loc.abs().max() <= MOST_HABIT
+    assert marginal.habit.log_var.max() <= 0.1  # and the floor
+    beyond = torch.tensor([[4.0], [8.0], [12.0]])  # hardly another action
+    assert (marginal.log_prob(beyond).diff() < -3).all()  # each costs as much as under uniform
+
+
+def test_prior_and_policy_do_not_run_off_together():
+    """Fitted to ever fuller actions, it stays a few nats from uniform."""
+    marginal = LearnedPrior(1)
+    optimizer = torch.optim.Adam(marginal.parameters(), lr=0.1)
+    for _ in range(200):
+        optimizer.zero_grad()
+        prior_loss(marginal.log_prob(8 + torch.randn(64, 1))).backward()
+        optimizer.step()
+    assert marginal.metrics()["prior_kl_to_uniform"] < 4
 
 
 def test_divergence_from_uniform_agrees_with_quadrature(fitted):

@@ -583,7 +583,7 @@ def test_the_prior_is_pulled_by_its_own_loss_alone(noise):
 
 def test_divergence_of_the_learned_prior_from_uniform_is_reported():
     agent = plain_agent(prior="learned")
-    agent.prior.loc.data.fill_(2.0)  # a strong habit
+    agent.prior.raw_loc.data.fill_(4.0)  # a strong habit
     random_state = torch.get_rng_state()
     divergence = agent.metrics()["prior_kl_to_uniform"]
     assert torch.get_rng_state().equal(random_state)

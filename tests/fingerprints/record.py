@@ -88,7 +88,7 @@ def trained(config: Config) -> tuple[float, str]:
         for part in ("agent", "bonus")
         for name, value in learner[part].items()
         if name.endswith(
-            (".weight", ".bias", "log_temperature", "prior.loc", "raw_log_std", "prior.logits")
+            (".weight", ".bias", "log_temperature", "prior.raw_loc", "raw_std", "prior.logits")
         )
     ]
     return summary["evaluation_return"], weights_hash(weights)

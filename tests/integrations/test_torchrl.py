@@ -512,10 +512,10 @@ def test_information_cost_does_not_depend_on_the_unit_of_actions():
 def test_information_cost_is_zero_where_policy_and_prior_are_one():
     loss = make_loss(CuriousActorCriticLoss, prior="learned")
     with torch.no_grad():
-        loss.prior.loc.zero_()
-        loss.prior.raw_log_std.fill_(0.0)
+        loss.prior.raw_loc.zero_()
+        loss.prior.raw_std.fill_(50.0)
         loss.actor_network_params.zero_()
-        std = torch.logaddexp(torch.zeros(()), torch.tensor(0.05).log()).exp()
+        std = torch.tensor(1 + 0.05)  # of the prior, with its floor
         loss.actor_network_params["module", "0", "module", "0", "bias"][1] = (
             std.expm1().log() - torch.tensor(1.0).expm1().log()
         )
