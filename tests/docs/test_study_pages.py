@@ -10,6 +10,7 @@ from deep_curiosity.experiments.studies import (
     LIBRARIES,
     comparisons,
     illustrations,
+    results,
     sweeps,
 )
 
@@ -17,6 +18,7 @@ ROOT = Path(__file__).parents[2]
 PAGES = {
     "docs/study": [*comparisons.STUDIES, *illustrations.STUDIES, *LIBRARIES],
     "docs/sweeps": [*sweeps.STUDIES],
+    "docs/results": [*results.STUDIES],
 }
 
 
@@ -32,7 +34,10 @@ def test_make_figures_runs_every_study():
     recipe = (ROOT / "Makefile").read_text().partition("for study in ")[2].partition("; do")[0]
     words = re.findall(r'"(\w+) [^"]*"|(\w+)', recipe)
     assert {quoted or word for quoted, word in words} == {
-        name for names in PAGES.values() for name in names
+        name
+        for folder, names in PAGES.items()
+        if folder != "docs/results"  # two cores compute them for nights
+        for name in names
     }
 
 

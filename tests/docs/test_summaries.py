@@ -15,6 +15,7 @@ FOLDERS = ("docs/study", "docs/development", "docs/results", "docs/sweeps")
 TABLES = {  # whose names are not those of their studies
     "learned_prior": "development",
     "noise-curiosity": "noise",
+    "first_seed": "results",
 }
 
 
@@ -41,13 +42,16 @@ def tables():
 
 
 def part_with_rows(name, rows):
-    """The study, but for tasks and agents that its table has none of."""
+    """The study of the tasks and agents that its table has, tasks in the order of the table."""
     study = find_study(name)[1]
-    there = {row["task"] for row in rows}, {str(row[study.label]) for row in rows}
+    tasks, agents = (
+        {task.name: task for task in study.tasks},
+        {str(row[study.label]) for row in rows},
+    )
     return replace(
         study,
-        tasks=[task for task in study.tasks if task.name in there[0]],
-        agents={agent: own for agent, own in study.agents.items() if str(agent) in there[1]},
+        tasks=[tasks[name] for name in dict.fromkeys(row["task"] for row in rows)],
+        agents={agent: own for agent, own in study.agents.items() if str(agent) in agents},
     )
 
 

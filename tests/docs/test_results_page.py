@@ -1,0 +1,100 @@
+"""The page of results: its tables are those of the rows, of one commit, after the protocol."""
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from deep_curiosity.benchmark.tables import grouped, read_rows
+from deep_curiosity.experiments.statistics import interquartile_mean
+from deep_curiosity.experiments.studies.results import STUDIES
+from deep_curiosity.experiments.tables import markdown_table
+
+ROOT = Path(__file__).parents[2]
+FOLDER = ROOT / "docs/results"
+TABLES = {name: read_rows(FOLDER / f"{name}.csv") for name in ("results", "first_seed")}
+HELD_OUT = [task.name for task in STUDIES["results"].joint.tasks]
+
+
+def solved_table(rows):
+    """For each task how many runs of each agent end solved, and their interquartile mean."""
+    agents = list(dict.fromkeys(row["agent"] for row in rows))
+    lines = []
+    for (task,), own in grouped(rows, "task").items():
+        cells = []
+        for agent in agents:
+            runs = [row for row in own if row["agent"] == agent]
+            mean = interquartile_mean(np.array([row["evaluation_return"] for row in runs]))
+            solved = sum(row["solved"] for row in runs)
+            cells.append(f"{solved:.0f} of {len(runs)}, {round(float(mean))}")
+        lines.append([task, *cells])
+    return markdown_table(["task", *agents], lines)
+
+
+def solved_of_held_out(name):
+    """Of each agent: how many runs of the held-out tasks end solved, and how many there are."""
+    own = [row for row in TABLES[name] if row["task"] in HELD_OUT]
+    return {
+        agent: (sum(row["solved"] for row in runs), len(runs))
+        for (agent,), runs in grouped(own, "agent").items()
+    }
+
+
+@pytest.fixture(scope="module")
+def page():
+    return (FOLDER / "README.md").read_text()
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_the_tables_of_the_page_are_those_of_the_rows(name, page):
+    assert solved_table(TABLES[name]) in page
+
+
+def test_what_is_said_of_the_held_out_tasks_is_what_was_measured(page):
+    text = " ".join(page.split())
+    (solved, runs), plain = solved_of_held_out("results").values()
+    assert f"the default solves {solved:.0f} runs of {runs}, and plain" in text
+    assert plain == (0, runs)
+    first = [f"{solved:.0f}" for solved, runs in solved_of_held_out("first_seed").values()]
+    assert first[1] == "0"
+    said = "the default solves {}, nearest-neighbours {} and information gain {}."
+    assert said.format(first[0], *first[2:]) in text
+
+
+def test_the_first_page_says_the_same():
+    text = " ".join((ROOT / "README.md").read_text().split())
+    (solved, runs), (plain, _) = solved_of_held_out("results").values()
+    assert (
+        f"it solves {solved:.0f} runs of {runs}, and plain soft actor-critic {plain:.0f}." in text
+    )
+
+
+def test_all_rows_are_of_the_commit_that_is_named(page):
+    (commit,) = {row["commit"] for rows in TABLES.values() for row in rows}
+    assert f"commit `{commit}`" in page
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_all_agents_have_the_same_seeds_of_every_task(name):
+    seeds = {
+        key: [row["seed"] for row in own]
+        for key, own in grouped(TABLES[name], "task", "agent").items()
+    }
+    assert len({tuple(own) for own in seeds.values()}) == 1
+
+
+@pytest.mark.skipif(shutil.which("git") is None, reason="asks git")
+def test_the_protocol_is_older_than_the_runs():
+    log = ["git", "log", "--format=%ct", "-1"]
+    dates = [
+        subprocess.run([*log, *which], cwd=ROOT, capture_output=True, text=True).stdout
+        for which in (
+            ["--diff-filter=A", "--", "docs/results/protocol.md"],
+            [str(TABLES["results"][0]["commit"])],
+        )
+    ]
+    if not all(dates):
+        pytest.skip("this is no whole clone")
+    assert int(dates[0]) < int(dates[1])
