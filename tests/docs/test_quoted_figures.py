@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from deep_curiosity.benchmark.tables import grouped, median, rate_over, read_rows
-from deep_curiosity.experiments.statistics import interquartile_mean
+from deep_curiosity.experiments.statistics import interquartile_mean, probability_of_improvement
 
 ROOT = Path(__file__).parents[2]
 HORIZON = "docs/sweeps/horizon.csv"
@@ -150,6 +150,39 @@ def test_what_is_said_of_dense_tasks_is_what_was_measured():
     )
     assert said.format(*times) in page
     assert {row["seed"] for row in rows} == {100, 101, 102}
+
+
+def test_what_is_said_of_both_priors_is_what_was_measured():
+    page = text_of("docs/development/README.md")
+    rows = rows_of("docs/development/development.csv")
+    solved = {
+        agent: sum(row["solved"] for row in own)
+        for (agent,), own in grouped(rows, "agent").items()
+    }
+    area = {
+        key: float(interquartile_mean(np.array([row["area"] for row in own])))
+        for key, own in grouped(rows, "task", "agent").items()
+    }
+    tasks = list(dict.fromkeys(task for task, _ in area))
+    larger = [task for task in tasks if area[task, "learned prior"] > area[task, "default"]]
+    ranks = 2 * len(tasks) - len(larger)
+    assert set(tasks) - set(larger) == {"PointMaze"}
+    assert (
+        f"solves {solved['learned prior']:.0f} runs of {len(rows) // 2} and the uniform one "
+        f"{solved['default']:.0f}; its area is larger on {len(larger)} tasks of {len(tasks)}"
+        in page
+    )
+    assert f"sum to {ranks} where the uniform one's sum to {3 * len(tasks) - ranks}." in page
+    groups = {
+        agent: [
+            [row["area"] for row in rows if (row["task"], row["agent"]) == (task, agent)]
+            for task in tasks
+        ]
+        for agent in solved
+    }
+    chance = probability_of_improvement(groups["default"], groups["learned prior"])
+    said = "with probability {:.2f}, with an interval from {:.2f} to {:.2f}"
+    assert said.format(*chance) in page
 
 
 def test_what_is_said_of_the_sparse_cartpole_is_what_its_runs_returned():

@@ -13,7 +13,6 @@ from deep_curiosity.experiments.tables import read_table
 ROOT = Path(__file__).parents[2]
 FOLDERS = ("docs/study", "docs/development", "docs/results", "docs/sweeps")
 TABLES = {  # whose names are not those of their studies
-    "learned_prior": "development",
     "noise-curiosity": "noise",
     "first_seed": "results",
 }

@@ -3,7 +3,6 @@
 from dataclasses import replace
 from typing import Any
 
-from deep_curiosity.agent.networks import UniformPrior
 from deep_curiosity.experiments.fixed_data import run_on_fixed_data
 from deep_curiosity.experiments.runs import measure_area
 from deep_curiosity.experiments.studies.comparisons import (
@@ -46,19 +45,6 @@ AGENTS: Agents = {
     "learned prior": {"prior": "learned"},
 }
 
-PRIORS: Agents = {
-    "uniform": {},
-    "learned": {"prior": "learned"},
-    "learned, half the rate": {"prior": "learned", "target_information_rate": 1.0},
-    "learned, rate of the uniform": {
-        "prior": "learned",
-        "target_information_rate": 2 * UniformPrior.default_rate,
-    },
-    "learned, price in the backup": {"prior": "learned", "soft_backup": True},
-    "learned, fixed price": {"prior": "learned", "temperature": "constant:0.02"},
-}
-"""Ways of the learned action marginal, in a maze whose actions have two dimensions."""
-
 FIXED = SMALL.override(total_steps=1_600, evaluation_interval=400, replay_capacity=4_000)
 FIXED_TASKS = [
     Task(env_id, FIXED.override(env_id=env_id))
@@ -92,14 +78,6 @@ STUDIES = {
         TASKS,
         AGENTS,
         seeds=8,
-        first_seed=100,
-        columns=("area", "evaluation_return"),
-        measure=measure_area,
-    ),
-    "priors": Study(
-        [TASKS[1]],
-        PRIORS,
-        seeds=10,
         first_seed=100,
         columns=("area", "evaluation_return"),
         measure=measure_area,
