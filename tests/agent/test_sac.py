@@ -459,9 +459,9 @@ def test_standard_deviations_follow_the_values_over_the_batch():
 
 def test_the_curiosity_value_is_relative_to_its_mean_and_an_end_is_worth_as_much():
     """Relative value iteration: a constant bonus above zero does not pile up."""
-    agent = small_agent(hidden_dim=32, learning_rate=3e-3, polyak=0.05, prior="learned")
-    batch = random_transition(64)
-    for _ in range(600):
+    agent = small_agent(hidden_dim=16, learning_rate=3e-3, polyak=0.05, prior="learned")
+    batch = random_transition(32)
+    for _ in range(400):
         metrics = agent.update(batch, ConstantBonus(1.0))
     value = agent.critics(batch.observation, batch.action)[2]
     assert metrics["curiosity_value"].item() == pytest.approx(1.0, abs=0.1)

@@ -20,6 +20,7 @@ def test_a_task_is_profiled_and_the_bonus_checked():
         assert word in done.stdout
 
 
+@pytest.mark.slow
 def test_the_frame_stack_is_profiled():
     done = check(
         "PendulumSwingup", "--frame-stack", "2", "--num-steps", "300", "--num-updates", "1"

@@ -610,10 +610,8 @@ def test_collector_fills_a_buffer_that_samples_the_bonus():
     assert len(replay) == 40
 
 
-@pytest.mark.parametrize(
-    "collector_class",
-    [MultiSyncCollector, pytest.param(MultiAsyncCollector, marks=pytest.mark.slow)],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("collector_class", [MultiSyncCollector, MultiAsyncCollector])
 def test_collectors_of_several_processes_carry_the_transform(collector_class: type):
     collector = collector_class(
         [make_curious_env, make_curious_env],
@@ -694,7 +692,9 @@ def test_integration_learns_and_comes_back_as_it_was_saved(make: Callable, tmp_p
     assert torch.equal(first.stored().reward, second.stored().reward)
 
 
-@pytest.mark.parametrize("make", AGENTS)
+@pytest.mark.parametrize(
+    "make", [pytest.param(make_agent, marks=pytest.mark.slow), make_curious_agent]
+)
 def test_integration_passes_the_check(make: Callable):
     report = check_integration(TorchRLIntegration(make), num_steps=220)
     assert report.passed, str(report)

@@ -288,6 +288,7 @@ def test_one_process_compiles_as_many_agents_as_it_likes():
     assert scaled == "[0.0, 1.0, 2.0, 3.0, 4.0, 5.0]"
 
 
+@slow
 def test_a_settled_graph_is_called_without_looking_it_up_and_refuses_other_shapes():
     total, refused = output_of(SETTLED)
     assert total == "[10.0, 10.0] 0"

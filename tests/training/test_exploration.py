@@ -66,7 +66,14 @@ def test_state_dependent_noise_is_a_function_of_the_state_until_it_is_resampled(
     assert not samples[-1].equal(samples[0])
 
 
-@pytest.mark.parametrize(("exploration", "num_envs"), [("gsde", 2), ("pink", 3), ("ou", 1)])
+@pytest.mark.parametrize(
+    ("exploration", "num_envs"),
+    [
+        ("gsde", 2),
+        pytest.param("pink", 3, marks=pytest.mark.slow),
+        pytest.param("ou", 1, marks=pytest.mark.slow),
+    ],
+)
 def test_a_run_explores_so_and_resumes_as_if_it_had_not_stopped(tiny, exploration, num_envs):
     tiny = tiny.override(exploration=exploration, num_envs=num_envs, checkpoint_interval=1_000)
     whole = tiny.override(out=tiny.run.out / "whole", total_steps=90)

@@ -108,7 +108,7 @@ def test_a_run_goes_on_without_the_one_it_began_with(tiny, begun, tmp_path):
     [
         ({"hidden_dim": 8}, r"got .*, where critics\..* Settings that differ: hidden_dim \(16 th"),
         ({"bonus": "rnd"}, "`bonus` must be 'curiosity', that of the run in .* got 'rnd'"),
-        ({"prior": "learned"}, r"where prior\.loc has shape None.*prior \('uniform' there"),
+        ({"prior": "learned"}, r"where prior\.logits has shape None.*prior \('uniform' there"),
         (
             {"env_id": "CartpoleSwingup"},
             r"where critics\.network\.layers\.0\.weight has shape \(3, 4, 16\), here \(3, 6, 16\)",
