@@ -25,9 +25,10 @@ LEVELS = np.linspace(0, 1.5, 31)
 
 
 def are_comparable(study: Study) -> bool:
-    """Whether a study has several tasks, and says of each what counts as solved."""
+    """Whether a study has several tasks, and says of each which return above zero solves it."""
     returns = [task.solved_return for task in study.tasks]
-    return study.label == "agent" and len(returns) > 1 and all(map(math.isfinite, returns))
+    are_units = all(0 < each < math.inf for each in returns)
+    return study.label == "agent" and len(returns) > 1 and are_units
 
 
 def is_measured(rows: Sequence[Row], column: str) -> bool:

@@ -61,6 +61,8 @@ def test_an_agent_with_fewer_runs_than_the_first_is_left_out():
     [
         replace(STUDY, tasks=TASKS[:1]),
         replace(STUDY, tasks=[TASKS[0], Task("hill", SHORT)]),
+        replace(STUDY, tasks=[TASKS[0], Task("hill", SHORT, 0.0)]),
+        replace(STUDY, tasks=[TASKS[0], Task("hill", SHORT, -200.0)]),
         replace(STUDY, label="hunger"),
     ],
 )
