@@ -1,8 +1,9 @@
-"""Runs the Python of a page as its reader would: block after block, in one namespace."""
+"""Pages as their readers have them: their text, and their Python, run block after block."""
 
 import re
 from pathlib import Path
 
+ROOT = Path(__file__).parents[2]
 BLOCK = re.compile(r"^```python\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
@@ -15,3 +16,8 @@ def run_blocks(path: Path) -> dict[str, object]:
         code = "\n" * line + block.group(1)  # so that a traceback names the line of the page
         exec(compile(code, str(path), "exec"), names)
     return names
+
+
+def text_of(path: Path | str) -> str:
+    """A page of the repository as one line, wherever its own end."""
+    return " ".join((ROOT / path).read_text().split())

@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from deep_curiosity.benchmark.tables import grouped, median, read_rows
-from tests.docs.pages import run_blocks
+from tests.docs.pages import run_blocks, text_of
 
 PAGE = Path(__file__).parents[2] / "docs/many_runs.md"
 
@@ -41,7 +41,7 @@ def rates(table, column, **where):
 
 
 def assert_said(sentence):
-    assert sentence in " ".join(PAGE.read_text().split())
+    assert sentence in text_of(PAGE)
 
 
 def test_what_is_said_of_slow_environments_is_what_was_measured():

@@ -2,23 +2,17 @@
 
 import functools
 import statistics
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from deep_curiosity.benchmark.tables import grouped, median, rate_over, read_rows
 from deep_curiosity.experiments.statistics import interquartile_mean, probability_of_improvement
+from tests.docs.pages import ROOT, text_of
 
-ROOT = Path(__file__).parents[2]
 HORIZON = "docs/sweeps/horizon.csv"
 
 rows_of = functools.cache(lambda path: read_rows(ROOT / path))
-
-
-def text_of(path):
-    """A page as one line, wherever its own end."""
-    return " ".join((ROOT / path).read_text().split())
 
 
 README = text_of("README.md")
