@@ -257,8 +257,9 @@ def report(
         plot_curves(output_path(out, ".png"), study, rows, curves)
     else:
         plot_columns(output_path(out, ".png"), study, rows)
-    if study.curves and have_joint_curve(study.joint, rows):
-        plot_together(output_path(out, "_together.png"), study.joint, rows, curves)
+    joint = study.joint
+    if study.curves and have_joint_curve(joint, rows):
+        plot_together(output_path(out, "_together.png"), joint, rows, curves)
     failed = [f"- failed: {failure}" for failure in failures]
     summary = "\n".join([summary_of(study, rows), *failed])
     output_path(out, ".md").write_text(summary.rstrip("\n") + "\n")
@@ -267,8 +268,9 @@ def report(
 
 def summary_of(study: Study, rows: Sequence[Row]) -> str:
     """Markdown: each task by itself, all of them together, and agents against each other."""
-    together = [*summarize_together(study.joint, rows), *compare(study.joint, rows)]
-    return "\n".join([summarize(study, rows), *together])
+    joint = study.joint
+    parts = [summarize(study, rows), *summarize_together(joint, rows), *compare(joint, rows)]
+    return "\n".join(parts)
 
 
 def compare(study: Study, rows: Sequence[Row]) -> list[str]:

@@ -94,8 +94,8 @@ def plot_together(path: Path, study: Study, rows: Sequence[Row], curves: Sequenc
     figure = Figure(figsize=(11.2, 3.9), layout="constrained")
     over_time, profile = figure.subplots(1, 2)
     agents = complete_agents(study, rows)
-    _draw(over_time, SHARES, {agent: _curve(study, curves, agent) for agent in agents})
-    _draw(profile, LEVELS, {agent: _profile(study, rows, agent) for agent in agents})
+    _draw(over_time, study, SHARES, {agent: _curve(study, curves, agent) for agent in agents})
+    _draw(profile, study, LEVELS, {agent: _profile(study, rows, agent) for agent in agents})
     num_tasks = f"{len(study.tasks)} tasks"
     over_time.set(
         title=f"Interquartile mean over {num_tasks}",
@@ -111,12 +111,17 @@ def plot_together(path: Path, study: Study, rows: Sequence[Row], curves: Sequenc
 
 
 def _draw(
-    axes: Axes, points: np.ndarray, estimates: Mapping[str | float, Sequence[Estimate]]
+    axes: Axes,
+    study: Study,
+    points: np.ndarray,
+    estimates: Mapping[str | float, Sequence[Estimate]],
 ) -> None:
+    """Draw agents in the colours that they have in the figure of single tasks."""
     ends = {}
-    for number, (agent, own) in enumerate(estimates.items()):
-        draw_curve(axes, points.tolist(), own, f"C{number}")
-        ends[f"{agent}", f"C{number}"] = own[-1].value
+    for number, agent in enumerate(study.agents):
+        if agent in estimates:
+            draw_curve(axes, points.tolist(), estimates[agent], f"C{number}")
+            ends[f"{agent}", f"C{number}"] = estimates[agent][-1].value
     label_beside(axes, ends)
 
 

@@ -88,10 +88,17 @@ def test_what_a_study_measures_otherwise_has_no_joint_mean():
     assert summarize_together(STUDY, rows)[0].splitlines()[2] == "| bold | 2 of 4 |"
 
 
-def test_curves_of_different_lengths_are_joined_at_shares_of_their_steps(monkeypatch, tmp_path):
-    kept = []
-    monkeypatch.setattr(Figure, "savefig", lambda self, path, **options: kept.append(self))
-    curves = [
+@pytest.fixture
+def kept(monkeypatch):
+    """The figures that are saved."""
+    figures = []
+    monkeypatch.setattr(Figure, "savefig", lambda self, path, **options: figures.append(self))
+    return figures
+
+
+@pytest.fixture
+def curves():
+    return [
         {"task": task.name, "agent": agent, "seed": seed, "step": int(share * total)}
         | {"evaluation_return": share * RETURNS[task.name, agent]}
         for task in TASKS
@@ -100,6 +107,9 @@ def test_curves_of_different_lengths_are_joined_at_shares_of_their_steps(monkeyp
         for seed in range(2)
         for share in (0.5, 1.0)
     ]
+
+
+def test_curves_of_different_lengths_are_joined_at_shares_of_their_steps(kept, curves, tmp_path):
     plot_together(tmp_path / "figure.png", STUDY, rows_of(), curves)
     over_time, profile = kept[0].axes
     bold, shy = over_time.lines
@@ -109,3 +119,9 @@ def test_curves_of_different_lengths_are_joined_at_shares_of_their_steps(monkeyp
     reached = dict(zip(levels.round(2).tolist(), shares.tolist(), strict=True))
     assert (reached[0.0], reached[0.5], reached[0.55], reached[1.5]) == (1.0, 1.0, 0.5, 0.5)
     assert [text.get_text() for text in over_time.texts] == ["shy", "bold"]
+
+
+def test_an_agent_keeps_its_colour_where_one_before_it_is_left_out(kept, curves, tmp_path):
+    study = replace(STUDY, agents={"bold": {}, "absent": {}, "shy": {}})
+    plot_together(tmp_path / "figure.png", study, rows_of(), curves)
+    assert [line.get_color() for line in kept[0].axes[0].lines] == ["C0", "C2"]
