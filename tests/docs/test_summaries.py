@@ -14,6 +14,7 @@ ROOT = Path(__file__).parents[2]
 FOLDERS = ("docs/study", "docs/development", "docs/results", "docs/sweeps")
 TABLES = {  # whose names are not those of their studies
     "noise-curiosity": "noise",
+    "harm-learned": "harm",
     "first_seed": "results",
 }
 
