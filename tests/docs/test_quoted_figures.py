@@ -23,6 +23,14 @@ def medians(path, key, column):
     return {name: median(own, column) for (name,), own in grouped(rows_of(path), key).items()}
 
 
+def interquartile_means(path, column):
+    """Interquartile mean of a column for each task and agent."""
+    return {
+        key: float(interquartile_mean(np.array([row[column] for row in own])))
+        for key, own in grouped(rows_of(path), "task", "agent").items()
+    }
+
+
 @functools.cache
 def speeds(folder):
     """Of every runner, as the table has them: steps per second, and times those of SB3."""
@@ -131,10 +139,7 @@ def test_what_is_said_of_a_thousand_kills_is_what_came_of_them():
 def test_what_is_said_of_dense_tasks_is_what_was_measured():
     page = text_of("docs/development/README.md")
     rows = rows_of("docs/development/harm.csv")
-    areas = {
-        key: float(interquartile_mean(np.array([row["area"] for row in own])))
-        for key, own in grouped(rows, "task", "agent").items()
-    }
+    areas = interquartile_means("docs/development/harm.csv", "area")
     times = [
         areas[task, "curiosity"] / areas[task, "plain SAC"]
         for task in ("HalfCheetah-v5", "Hopper-v5")
@@ -146,6 +151,30 @@ def test_what_is_said_of_dense_tasks_is_what_was_measured():
     assert {row["seed"] for row in rows} == {100, 101, 102}
 
 
+def test_what_is_said_of_the_learned_prior_on_dense_tasks_is_what_was_measured():
+    learned, uniform = (
+        interquartile_means(f"docs/development/{name}.csv", "evaluation_return")
+        for name in ("harm-learned", "harm")
+    )
+    cheetah, hopper = (
+        [
+            f"{value:,.0f}".replace(",", " ")
+            for value in (
+                learned[task, "curiosity"],
+                uniform[task, "curiosity"],
+                uniform[task, "plain SAC"],
+            )
+        ]
+        for task in ("HalfCheetah-v5", "Hopper-v5")
+    )
+    said = (
+        "It ends at {} on HalfCheetah-v5, where the uniform prior ends at {} and the plain agent "
+        "at {}, and at {} on Hopper-v5, where they end at {} and {}."
+    )
+    assert said.format(*cheetah, *hopper) in text_of("docs/development/README.md")
+    assert {row["seed"] for row in rows_of("docs/development/harm-learned.csv")} == {100, 101, 102}
+
+
 def test_what_is_said_of_both_priors_is_what_was_measured():
     page = text_of("docs/development/README.md")
     rows = rows_of("docs/development/development.csv")
@@ -153,10 +182,7 @@ def test_what_is_said_of_both_priors_is_what_was_measured():
         agent: sum(row["solved"] for row in own)
         for (agent,), own in grouped(rows, "agent").items()
     }
-    area = {
-        key: float(interquartile_mean(np.array([row["area"] for row in own])))
-        for key, own in grouped(rows, "task", "agent").items()
-    }
+    area = interquartile_means("docs/development/development.csv", "area")
     tasks = list(dict.fromkeys(task for task, _ in area))
     larger = [task for task in tasks if area[task, "learned prior"] > area[task, "default"]]
     ranks = 2 * len(tasks) - len(larger)
