@@ -1,8 +1,6 @@
-from pathlib import Path
+from tests.docs.pages import ROOT, run_blocks
 
-from tests.docs.pages import run_blocks
-
-PAGE = Path(__file__).parents[2] / "docs/integrations/check.md"
+PAGE = ROOT / "docs/integrations/check.md"
 
 
 def test_the_page_runs_as_written_and_lists_every_line_of_the_report():

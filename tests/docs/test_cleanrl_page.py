@@ -1,10 +1,7 @@
-from pathlib import Path
-
 import torch
 
-from tests.docs.pages import run_blocks
+from tests.docs.pages import ROOT, run_blocks
 
-ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs/integrations/cleanrl.md"
 
 

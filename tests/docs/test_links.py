@@ -1,7 +1,8 @@
 import runpy
-from pathlib import Path
 
-check_links = runpy.run_path(str(Path(__file__).parents[2] / "docs" / "check_links.py"))
+from tests.docs.pages import ROOT
+
+check_links = runpy.run_path(str(ROOT / "docs" / "check_links.py"))
 
 
 def test_links_that_lead_nowhere_are_found_and_others_are_not(tmp_path):

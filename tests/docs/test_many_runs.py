@@ -5,9 +5,9 @@ from pathlib import Path
 import pytest
 
 from deep_curiosity.benchmark.tables import grouped, median, read_rows
-from tests.docs.pages import run_blocks, text_of
+from tests.docs.pages import ROOT, run_blocks, text_of
 
-PAGE = Path(__file__).parents[2] / "docs/many_runs.md"
+PAGE = ROOT / "docs/many_runs.md"
 
 
 @pytest.mark.slow

@@ -3,15 +3,15 @@
 import re
 import shlex
 import sys
-from pathlib import Path
 
 import pytest
 
 from deep_curiosity.cli import COMMANDS, main
+from tests.docs.pages import ROOT
 
 pytestmark = pytest.mark.slow
 
-DOCS = Path(__file__).parents[2] / "docs"
+DOCS = ROOT / "docs"
 PAGES = [
     DOCS / "index.md",
     DOCS / "tutorial.md",

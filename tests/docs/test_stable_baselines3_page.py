@@ -1,12 +1,11 @@
 import csv
-from pathlib import Path
 
 import pytest
 from stable_baselines3 import PPO, SAC
 
-from tests.docs.pages import run_blocks
+from tests.docs.pages import ROOT, run_blocks
 
-PAGE = Path(__file__).parents[2] / "docs/integrations/stable_baselines3.md"
+PAGE = ROOT / "docs/integrations/stable_baselines3.md"
 
 
 @pytest.mark.slow

@@ -1,7 +1,6 @@
 """The pages of the studies: each study has its command there, and each linked file is there."""
 
 import re
-from pathlib import Path
 
 import pytest
 
@@ -13,8 +12,8 @@ from deep_curiosity.experiments.studies import (
     results,
     sweeps,
 )
+from tests.docs.pages import ROOT
 
-ROOT = Path(__file__).parents[2]
 PAGES = {
     "docs/study": [*comparisons.STUDIES, *illustrations.STUDIES, *LIBRARIES],
     "docs/sweeps": [*sweeps.STUDIES],

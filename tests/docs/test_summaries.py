@@ -2,15 +2,14 @@
 
 import re
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
 from deep_curiosity.experiments.grid import summary_of
 from deep_curiosity.experiments.studies import find_study
 from deep_curiosity.experiments.tables import read_table
+from tests.docs.pages import ROOT
 
-ROOT = Path(__file__).parents[2]
 FOLDERS = ("docs/study", "docs/development", "docs/results", "docs/sweeps")
 TABLES = {  # whose names are not those of their studies
     "noise-curiosity": "noise",

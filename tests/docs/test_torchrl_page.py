@@ -1,11 +1,9 @@
-from pathlib import Path
-
 import pytest
 import torch
 
-from tests.docs.pages import run_blocks
+from tests.docs.pages import ROOT, run_blocks
 
-PAGE = Path(__file__).parents[2] / "docs/integrations/torchrl.md"
+PAGE = ROOT / "docs/integrations/torchrl.md"
 
 
 @pytest.mark.slow

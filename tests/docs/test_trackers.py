@@ -2,17 +2,16 @@
 
 import sys
 from contextlib import contextmanager
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
 
 from deep_curiosity.training.log import read_progress
-from tests.docs.pages import run_blocks
+from tests.docs.pages import ROOT, run_blocks
 
 pytestmark = pytest.mark.slow
 
-PAGE = Path(__file__).parents[2] / "docs/integrations/trackers.md"
+PAGE = ROOT / "docs/integrations/trackers.md"
 
 
 @pytest.fixture

@@ -1,12 +1,10 @@
-from pathlib import Path
-
 import pytest
 
-from tests.docs.pages import run_blocks
+from tests.docs.pages import ROOT, run_blocks
 
 pytestmark = pytest.mark.slow
 
-PAGE = Path(__file__).parents[2] / "docs/use.md"
+PAGE = ROOT / "docs/use.md"
 
 
 def test_the_page_runs_as_written(tmp_path, monkeypatch):
