@@ -1,12 +1,18 @@
 """What an engine costs: one study by one worker, by two, and by two workers of Ray, in turns.
 
-python -m deep_curiosity.benchmark.engines --rounds 3
+python -m deep_curiosity.benchmark.engines --steps 8000
+
+A machine whose speed drifts tells workers apart only where their turns are short:
+
+python -m deep_curiosity.benchmark.engines --steps 8000 --rounds 5 --runs 4 \
+    --engines "local, 1 worker" "local, 2 workers" --out docs/benchmark/engines_short.csv
 """
 
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import Literal
 
 import tyro
 
@@ -21,8 +27,9 @@ from deep_curiosity.training.config import Config
 from deep_curiosity.training.log import CONFIG, SUMMARY
 from deep_curiosity.training.source import source_commit
 
+ALONE = "local, 1 worker"
 ENGINES: dict[str, Callable[[], Engine]] = {
-    "local, 1 worker": lambda: LocalEngine(1),
+    ALONE: lambda: LocalEngine(1),
     "local, 2 workers": lambda: LocalEngine(2),
     "ray, 2 workers": lambda: RayEngine(num_cpus=2),
 }
@@ -33,11 +40,17 @@ class Args:
     """How much, and where to."""
 
     rounds: int = 3
-    """In each of which every engine has its turn."""
+    """In each of which every engine has its turn; in every second one in the opposite order."""
     runs: int = 12
-    """Of the study."""
+    """Of the study; one worker does half of them, which takes as long."""
     steps: int = 12_000
     """Environment steps of a run, which takes about a minute."""
+    engines: tuple[Literal["local, 1 worker", "local, 2 workers", "ray, 2 workers"], ...] = (
+        "local, 1 worker",
+        "local, 2 workers",
+        "ray, 2 workers",
+    )
+    """Which of them."""
     out: Path = Path("docs/benchmark/engines.csv")
     """CSV file that receives a row for every turn."""
 
@@ -60,16 +73,16 @@ def main(args: Args) -> None:
     """Time all engines in turns, and write a row for each turn."""
     rows: list[Row] = []
     for number in range(args.rounds):
-        for name, make_engine in ENGINES.items():
+        for name in args.engines if number % 2 == 0 else reversed(args.engines):
+            runs = args.runs // 2 if name == ALONE else args.runs
             with TemporaryDirectory() as folder:
-                seconds = time_study(make_engine, args.runs, args.steps, Path(folder))
-            steps_per_second = args.runs * args.steps / seconds
+                seconds = time_study(ENGINES[name], runs, args.steps, Path(folder))
             rows.append(
-                {"runner": name, "repeat": number, "seconds": seconds}
-                | {"steps_per_second": steps_per_second, "commit": source_commit()}
+                {"runner": name, "repeat": number, "runs": runs, "seconds": seconds}
+                | {"steps_per_second": runs * args.steps / seconds, "commit": source_commit()}
             )
             write_table(args.out, rows)
-    times_one_worker = rate_over(rows, "local, 1 worker")
+    times_one_worker = rate_over(rows, ALONE)
     for (runner,), own in grouped(rows, "runner").items():
         print(f"{runner}: {summarize(own, 'seconds')} s, {summarize(own, times_one_worker)} times")
 

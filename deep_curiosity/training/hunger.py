@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 import torch
-from numpy.typing import ArrayLike
 
 from deep_curiosity.agent.config import ConditionedHunger
 from deep_curiosity.schedules import Schedule
@@ -26,7 +25,7 @@ BANDIT_SEGMENT = 250  # environment steps for which an arm is held
 BANDIT_MEMORY = 40  # segments that an arm is judged by
 BANDIT_EXPLORATION = 0.5  # weight of what is not known of an arm, in units of the range of scores
 
-HungerFunction = Callable[[np.ndarray, Info], ArrayLike]
+HungerFunction = Callable[[np.ndarray, Info], float | Sequence[float] | np.ndarray]
 """Observations `(num_envs, observation_dim)`, and the info that came with them, to hunger: one
 number or `(num_envs,)`."""
 

@@ -5,14 +5,23 @@ from deep_curiosity.experiments.engines.local import LocalEngine
 from deep_curiosity.experiments.tables import read_table
 
 
-def test_every_engine_has_its_turn_in_every_round(tmp_path, monkeypatch, capsys):
-    monkeypatch.setattr(engines, "ENGINES", {"local, 1 worker": lambda: LocalEngine(1)})
-    seconds = iter([4.0, 5.0])
-    monkeypatch.setattr(engines, "time_study", lambda *_: next(seconds))
-    engines.main(engines.Args(rounds=2, runs=2, steps=100, out=tmp_path / "engines.csv"))
+def test_every_engine_has_its_turn_and_is_compared_within_a_round(tmp_path, monkeypatch, capsys):
+    seconds = iter([4.0, 5.0, 3.0, 5.0])
+    turns = []
+    monkeypatch.setattr(engines, "time_study", lambda *turn: turns.append(turn) or next(seconds))
+    names = ("local, 1 worker", "local, 2 workers")
+    engines.main(
+        engines.Args(rounds=2, runs=2, steps=100, engines=names, out=tmp_path / "engines.csv")
+    )
     rows = read_table(tmp_path / "engines.csv")
-    assert [(row["repeat"], row["steps_per_second"]) for row in rows] == [("0", "50"), ("1", "40")]
-    assert capsys.readouterr().out.startswith("local, 1 worker: 4.5 [4, 5] s, 1 [1, 1] times")
+    assert [(row["runner"], row["repeat"], row["steps_per_second"]) for row in rows] == [
+        ("local, 1 worker", "0", "25"),
+        ("local, 2 workers", "0", "40"),
+        ("local, 2 workers", "1", "66.6667"),
+        ("local, 1 worker", "1", "20"),
+    ]
+    assert [runs for _, runs, *_ in turns] == [1, 2, 2, 1]
+    assert "local, 2 workers: 4 [3, 5] s, 2.467 [1.6, 3.333] times" in capsys.readouterr().out
 
 
 @pytest.mark.slow
