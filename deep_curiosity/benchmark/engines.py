@@ -5,7 +5,8 @@ python -m deep_curiosity.benchmark.engines --steps 8000
 A machine whose speed drifts tells workers apart only where their turns are short:
 
 python -m deep_curiosity.benchmark.engines --steps 8000 --rounds 5 --runs 4 \
-    --runners "local, 1 worker" "local, 2 workers" "processes, 2" --out docs/benchmark/engines_short.csv
+    --runners "local, 1 worker" "local, 2 workers" "processes, 2" \
+    --out docs/benchmark/engines_short.csv
 """
 
 from collections.abc import Callable, Sequence

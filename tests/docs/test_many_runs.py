@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from deep_curiosity.benchmark.tables import grouped, median, read_rows
+from deep_curiosity.benchmark.tables import grouped, median, rate_over, read_rows
 from tests.docs.pages import ROOT, run_blocks, text_of
 
 PAGE = ROOT / "docs/many_runs.md"
@@ -75,15 +75,30 @@ def test_what_is_said_of_quick_steps_and_of_updates_is_what_was_measured():
 
 
 def test_what_is_said_of_engines_is_what_was_measured():
-    turns = grouped(read_rows(BENCHMARK / "engines.csv"), "repeat").values()
-    rounds = [{row["runner"]: row["seconds"] for row in turn} for turn in turns]
-    two = [turn["local, 1 worker"] / turn["local, 2 workers"] for turn in rounds]
-    ray = [turn["ray, 2 workers"] / turn["local, 2 workers"] - 1 for turn in rounds]
-    assert_said(
-        f"two workers do {statistics.median(two):.2f} times what one does, between {min(two):.2f} "
-        f"and {max(two):.2f}"
+    short, long = (read_rows(BENCHMARK / f"{name}.csv") for name in ("engines_short", "engines"))
+    two, bare, longer = (
+        [rate_over(rows, "local, 1 worker")(row) for row in rows if row["runner"] == runner]
+        for rows, runner in (
+            (short, "local, 2 workers"),
+            (short, "processes, 2"),
+            (long, "local, 2 workers"),
+        )
+    )
+    assert_said(f"In {len(two)} rounds")
+    assert_said(f"two workers do {median_and_ends(two)}".replace("times", "times what one does"))
+    assert_said(f"two processes without an engine {median_and_ends(bare)}")
+    assert_said(f"it is {median_and_ends(longer)}")
+    seconds = {(row["runner"], row["repeat"]): row["seconds"] for row in long}
+    more = sorted(
+        100 * (seconds["ray, 2 workers", number] / seconds["local, 2 workers", number] - 1)
+        for runner, number in seconds
+        if runner == "ray, 2 workers"
     )
     assert_said(
-        f"Ray needs {statistics.median(ray):.1%} more time than the local engine, between "
-        f"{min(ray):.1%} and {max(ray):.1%}".replace("%", " %")
+        f"Ray needs {statistics.median(more):.1f} % more time than the local engine, between "
+        f"{more[0]:.1f} % and {more[-1]:.1f} %"
     )
+
+
+def median_and_ends(times):
+    return f"{statistics.median(times):.2f} times, between {min(times):.2f} and {max(times):.2f}"
