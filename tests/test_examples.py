@@ -8,7 +8,6 @@ import gymnasium
 import numpy as np
 import pytest
 import torch
-from torch.nn.utils import parameters_to_vector
 
 MARK = "# + bonus"
 EXAMPLES = sorted((Path(__file__).parents[1] / "examples").glob("*.py"))
@@ -115,12 +114,12 @@ def test_the_bonus_reaches_the_critic(path, play):
     indifferent = text.replace("+ bonus.compute(", "+ 0 * bonus.compute(")
     assert indifferent != text  # and samples the same random numbers
     first, again, without = (
-        parameters_to_vector(play(version, short)["critic"].parameters())
-        for version in (text, text, indifferent)
+        play(version, short)["critic"].state_dict() for version in (text, text, indifferent)
     )
-    assert torch.equal(first, again)
-    # all together: a lone bias moves by Adam's step, which is the same for any reward of one sign
-    assert (first - without).abs().median() > 1e-5
+    for name, value in first.items():
+        assert torch.equal(value, again[name])
+        # a lone bias moves by Adam's step, which is the same for any reward of one sign
+        assert value.numel() == 1 or not torch.allclose(value, without[name])
 
 
 @every_whole_agent

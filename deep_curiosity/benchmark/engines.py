@@ -10,6 +10,7 @@ python -m deep_curiosity.benchmark.engines --steps 8000 --rounds 5 --runs 4 \
 """
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from multiprocessing import get_context
@@ -66,19 +67,12 @@ def time_study(make_engine: Callable[[], Engine], runs: int, steps: int, folder:
 def time_processes(runs: int, steps: int, folder: Path) -> float:
     """Seconds of the same runs by two processes that know of no engine, half of them each.
 
-    Raises:
-        RuntimeError: If a run fails.
+    Raises what a run raises.
     """
     config = config_of(steps)
     configs = [config.override(seed=seed, out=folder / f"seed{seed}") for seed in range(runs)]
-    context = get_context("spawn")
-    processes = [context.Process(target=train_each, args=(configs[n::2],)) for n in range(2)]
-    for process in processes:
-        process.start()
-    for process in processes:
-        process.join()
-    if any(process.exitcode for process in processes):
-        raise RuntimeError(f"`runs` must come to their end to be timed, got failures in {folder}.")
+    with ProcessPoolExecutor(2, get_context("spawn")) as processes:
+        list(processes.map(train_each, [configs[::2], configs[1::2]]))
     return seconds_of(folder)
 
 

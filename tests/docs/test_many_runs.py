@@ -88,12 +88,8 @@ def test_what_is_said_of_engines_is_what_was_measured():
     assert_said(f"two workers do {median_and_ends(two)}".replace("times", "times what one does"))
     assert_said(f"two processes without an engine {median_and_ends(bare)}")
     assert_said(f"it is {median_and_ends(longer)}")
-    seconds = {(row["runner"], row["repeat"]): row["seconds"] for row in long}
-    more = sorted(
-        100 * (seconds["ray, 2 workers", number] / seconds["local, 2 workers", number] - 1)
-        for runner, number in seconds
-        if runner == "ray, 2 workers"
-    )
+    of_local = rate_over(long, "local, 2 workers")
+    more = sorted(100 / of_local(row) - 100 for row in long if row["runner"] == "ray, 2 workers")
     assert_said(
         f"Ray needs {statistics.median(more):.1f} % more time than the local engine, between "
         f"{more[0]:.1f} % and {more[-1]:.1f} %"
