@@ -17,7 +17,8 @@ class SpeedConfig(Group):
     compile: Literal["auto", "on", "off"] = "auto"
     """Compile the updates, which takes half a minute; auto does so in long runs, after some."""
     matmul_precision: Literal["auto", "highest", "high", "medium"] = "auto"
-    """Torch's switch for float32 matrix products; auto takes the fastest that is float32."""
+    """Torch's switch for float32 matrix products; auto takes the highest, or one that is float32
+    on this machine as well and much faster."""
     direct_matmul: bool = True
     """Let products of a compiled update call torch's CPU kernel directly."""
     deduplicate: bool = True
