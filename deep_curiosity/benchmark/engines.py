@@ -31,6 +31,7 @@ from deep_curiosity.training.config import Config
 from deep_curiosity.training.log import CONFIG, SUMMARY
 from deep_curiosity.training.loop import train
 from deep_curiosity.training.source import source_commit
+from deep_curiosity.transitions import check_counts
 
 Runner = Literal["local, 1 worker", "local, 2 workers", "ray, 2 workers", "processes, 2"]
 ALONE: Runner = "local, 1 worker"
@@ -50,6 +51,14 @@ class Args:
     """Which of them: engines, or processes without one."""
     out: Path = Path("docs/benchmark/engines.csv")
     """CSV file that receives a row for every turn."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be measured."""
+        check_counts(rounds=self.rounds, steps=self.steps)
+        if self.runs < 2:
+            raise ValueError(
+                f"`runs` must be at least 2, since one worker does half of them, got {self.runs}."
+            )
 
 
 def time_study(make_engine: Callable[[], Engine], runs: int, steps: int, folder: Path) -> float:

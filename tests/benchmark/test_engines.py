@@ -26,6 +26,19 @@ def test_every_runner_has_its_turn_and_is_compared_within_a_round(tmp_path, monk
     assert "local, 2 workers: 4 [3, 5] s, 2.467 [1.6, 3.333] times" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"runs": 1}, "`runs` must be at least 2, .* got 1"),
+        ({"rounds": 0}, "`rounds` must be at least 1, got 0"),
+        ({"steps": 0}, "`steps` must be at least 1, got 0"),
+    ],
+)
+def test_what_cannot_be_timed_is_refused(settings, message):
+    with pytest.raises(ValueError, match=message):
+        engines.Args(**settings)
+
+
 @pytest.mark.slow
 def test_a_study_is_timed_from_its_first_run_to_the_end_of_its_last(tmp_path):
     assert 0 < engines.time_study(lambda: LocalEngine(1), 1, 620, tmp_path) < 600
