@@ -4,8 +4,9 @@ Every name is imported when it is first used: the bonus and what was learned nee
 trains needs besides what `pip install 'deep-curiosity[train]'` brings.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from deep_curiosity.lazy import names_of
 
 if TYPE_CHECKING:
     from deep_curiosity.agent.sac import CuriousSAC
@@ -53,14 +54,7 @@ _MODULES = {
 }
 """Module within the package that has each name."""
 
-
-def __getattr__(name: str) -> Any:
-    """Import a public name when it is first asked for."""
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
-    globals()[name] = value
-    return value
+__getattr__ = names_of(__name__, _MODULES)
 
 
 def __dir__() -> list[str]:

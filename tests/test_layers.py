@@ -12,7 +12,7 @@ from deep_curiosity.bonuses import BONUSES, Bonus
 
 ROOT = Path(deep_curiosity.__file__).parent
 LAYERS = (
-    ("requirements", "transitions"),
+    ("lazy", "requirements", "transitions"),
     ("arguments", "configuration", "schedules", "gaussians", "losses", "nn"),
     ("replay",),
     ("speed",),

@@ -4,8 +4,9 @@ Names are imported when they are first used, since settings and records are read
 training needs; each module that needs it asks for it by itself.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
+
+from deep_curiosity.lazy import names_of
 
 if TYPE_CHECKING:
     from deep_curiosity.training.config import Config
@@ -15,11 +16,4 @@ __all__ = ["Config", "continue_run", "train"]
 
 _MODULES = {"Config": "config", "continue_run": "loop", "train": "loop"}
 
-
-def __getattr__(name: str) -> Any:
-    """Import a public name when it is first asked for."""
-    if name not in _MODULES:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    value = getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)
-    globals()[name] = value
-    return value
+__getattr__ = names_of(__name__, _MODULES)
