@@ -22,6 +22,7 @@ TEMPERATURES = (
 MOST_RATE = 1e6  # nats; what its actions allow is less, and known to the agent alone
 MOST_HUNGER = 1e6  # of which float32 still resolves a curiosity value beside it
 
+PriorName = Literal["uniform", "learned"]
 HungerSource = Literal["fixed", "random", "bandit", "battery"]
 
 
@@ -136,8 +137,9 @@ class AgentConfig(Group):
 
     hidden_dim: int = setting(256, at_most=2**14)
     """Width of the two hidden layers of policy, critics and models."""
-    prior: Literal["uniform", "learned"] = "uniform"
-    """Action prior: flat as in soft actor-critic, or the learned action marginal."""
+    prior: PriorName | None = None
+    """Action prior: flat as in soft actor-critic, or the learned action marginal of (21). By
+    default learned where there is a bonus and uniform where there is none."""
     hunger: float | Schedule | ConditionedHunger = setting(1.0, at_least=0, at_most=MOST_HUNGER)
     """Weight of the reward's value, alpha: a number; a schedule such as linear:1:10; or random,
     bandit, battery or conditioned:0.5, where policy and critics are given the hunger and learn
@@ -149,8 +151,8 @@ class AgentConfig(Group):
     target information rate; constant:0.02 stays; linear:0.02:0.002, exponential:... or
     plateaus:... go with time."""
     target_information_rate: float | None = setting(None, above=0, at_most=MOST_RATE)
-    """Nats per action by which the policy may differ from the prior; by default 1.69 (uniform) or
-    1 (learned) for each action dimension."""
+    """Nats per action by which the policy may differ from the prior; by default 1.69 for each
+    action dimension, soft actor-critic's target entropy where the prior is uniform."""
     learning_rate: float = setting(1e-3, above=0, at_least=LEAST_LEARNING_RATE, at_most=1)
     """Learning rate of policy, critics, prior and temperature."""
     polyak: float = setting(0.02, above=0, at_least=1e-6, at_most=1)
@@ -211,6 +213,12 @@ class AgentConfig(Group):
                 raise ValueError(
                     f"`curiosity_discount` must be above 0 where `curiosity_{name}` is set, got 0."
                 )
+
+    def prior_of(self, *, curiosity: bool) -> PriorName:
+        """Action prior of an agent with or without a bonus."""
+        if self.prior is not None:
+            return self.prior
+        return "learned" if curiosity else "uniform"
 
     @property
     def is_conditioned(self) -> bool:

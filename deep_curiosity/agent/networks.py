@@ -182,6 +182,11 @@ def for_each_critic(value: Float[Tensor, "values *rest"]) -> Float[Tensor, "crit
     return torch.cat([value[:1], value])
 
 
+DEFAULT_RATE = 1 + math.log(2)
+"""Nats for each action dimension by which a policy may differ from its prior: from the uniform one
+that is soft actor-critic's usual target entropy of minus the number of action dimensions."""
+
+
 class Prior(nn.Module, ABC):
     """What the agent usually does, whatever the state: a density over pre-actions.
 
@@ -189,8 +194,6 @@ class Prior(nn.Module, ABC):
         action_dim: Length of an action.
     """
 
-    default_rate: ClassVar[float]
-    """Nats for each action dimension by which a policy may differ from the prior, by default."""
     soft_backup: ClassVar[bool]
     """Whether, without curiosity, the value is charged with later information costs by default."""
     log_excess: float = 0.0
@@ -218,7 +221,6 @@ class UniformPrior(Prior):
         action_dim: Length of an action.
     """
 
-    default_rate = 1 + math.log(2)  # nats from uniform: the usual target entropy of -action_dim
     soft_backup = True
 
     def __init__(self, action_dim: int) -> None:
@@ -250,7 +252,6 @@ class LearnedPrior(Prior):
         ValueError: If `components` is below 1 or `uniform_share` outside (0, 1).
     """
 
-    default_rate = 1.0
     soft_backup = False
 
     def __init__(

@@ -16,7 +16,13 @@ from deep_curiosity.agent.config import (
     AgentConfig,
     ConditionedHunger,
 )
-from deep_curiosity.agent.networks import PRIORS, Critics, GaussianPolicy, for_each_critic
+from deep_curiosity.agent.networks import (
+    DEFAULT_RATE,
+    PRIORS,
+    Critics,
+    GaussianPolicy,
+    for_each_critic,
+)
 from deep_curiosity.configuration import check_range, override
 from deep_curiosity.losses import (
     actor_loss,
@@ -144,8 +150,7 @@ class CuriousSAC(nn.Module):
         is_about_reward = not curiosity or self.has_greedy_policy  # what Q's policy maximises
         by_default = self.prior.soft_backup and is_about_reward
         self.soft_backup = by_default if soft_backup is None else soft_backup
-        default_rate = self.prior.default_rate * action_dim
-        self.target_information_rate = default_rate if rate is None else rate
+        self.target_information_rate = DEFAULT_RATE * action_dim if rate is None else rate
         check_rate(self.target_information_rate, action_dim)
         self._register_state(discounts)
         self.optimizers = nn.ModuleDict(  # type: ignore[assignment]  # of Adams
@@ -174,7 +179,7 @@ class CuriousSAC(nn.Module):
             layer_norm=config.critic_layer_norm,
         )
         self.target_critics = deepcopy(self.critics).requires_grad_(False)
-        self.prior = PRIORS[config.prior](self.action_dim)
+        self.prior = PRIORS[config.prior_of(curiosity=self.curiosity)](self.action_dim)
 
     def _register_state(self, discounts: list[float]) -> None:
         """Make what changes while the agent lives, so that a compiled update follows it."""

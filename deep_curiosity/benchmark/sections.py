@@ -28,8 +28,8 @@ ENV_ID = "HalfCheetah-v5"
 AGENTS = {
     "plain": Config.of(env_id=ENV_ID, bonus="none"),
     "plain, exact": Config.of("exact", env_id=ENV_ID, bonus="none"),
-    "curious": Config.of(env_id=ENV_ID, prior="learned"),
-    "curious, exact": Config.of("exact", env_id=ENV_ID, prior="learned"),
+    "curious": Config.of(env_id=ENV_ID),
+    "curious, exact": Config.of("exact", env_id=ENV_ID),
 }
 """Our agents, as the benchmark calls them."""
 COMPILE = {"compiled": "on", "eager": "off"}

@@ -339,7 +339,7 @@ class Run:
             "env_id": config.environment.env_id,
             "seed": config.run.seed,
             "bonus": config.bonus.kind,
-            "prior": config.agent.prior,
+            "prior": config.agent.prior_of(curiosity=self.learner.agent.curiosity),
             "total_steps": self.run_log.step,
             **self.run_log.summary(num_cells(self.evaluation_environment)),
             "peak_memory_megabytes": peak_memory_megabytes(),

@@ -79,7 +79,7 @@ def test_an_unknown_source_of_hunger_is_refused():
         ({"polyak": 1.5}, "`polyak` must be at most 1, got 1.5"),
         ({"curiosity_coefficient": -1.0}, "`curiosity_coefficient` must not be negative, got -1"),
         ({"curiosity_coefficient": "much"}, "`curiosity_coefficient` must be .*'adaptive', got"),
-        ({"prior": "habit"}, "`prior` must be one of 'uniform' or 'learned', got 'habit'"),
+        ({"prior": "habit"}, "`prior` must be one of 'uniform', 'learned' or None, got"),
         ({"actor_q": "max"}, "`actor_q` must be one of 'alternate' or 'min', got 'max'"),
         ({"actor_batch_fraction": 1.5}, "`actor_batch_fraction` must be at most 1, got 1.5"),
         ({"actor_batch_fraction": 0.4}, "`actor_batch_fraction` must be one over a whole.*0.4"),

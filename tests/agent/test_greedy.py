@@ -123,7 +123,7 @@ def test_nothing_of_curiosity_reaches_the_greedy_policy(part):
 
 
 def test_each_policy_holds_the_rate_at_a_price_of_its_own():
-    agent = greedy_agent(target_information_rate=1.0, learning_rate=1e-2)
+    agent = greedy_agent(prior="uniform", target_information_rate=1.0, learning_rate=1e-2)
     make_narrow(agent.policy)
     layer = agent.policy.network.layers[-1]
     with torch.no_grad():

@@ -9,6 +9,7 @@ from torch.distributions import Independent, Normal, TransformedDistribution
 from torch.distributions.transforms import TanhTransform
 
 from deep_curiosity.agent.config import TEMPERATURES, AgentConfig, ConditionedHunger
+from deep_curiosity.agent.networks import LearnedPrior, UniformPrior
 from deep_curiosity.agent.sac import CuriousSAC
 from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.bonuses.baselines import ConstantBonus
@@ -329,7 +330,10 @@ def test_the_curiosity_critic_ignores_the_reward():
 @pytest.mark.parametrize("slope", [-10.0, 10.0])
 def test_a_large_bonus_on_one_action_moves_the_policy_toward_it(curiosity_discount, slope):
     agent = small_agent(
-        curiosity_discount=curiosity_discount, learning_rate=1e-2, temperature="constant:1"
+        prior="uniform",
+        curiosity_discount=curiosity_discount,
+        learning_rate=1e-2,
+        temperature="constant:1",
     )
     bonus = PushingBonus(slope)
     for _ in range(120):
@@ -363,7 +367,9 @@ def test_a_constant_bonus_moves_nothing_where_no_critic_learns_it():
 
 
 def test_a_constant_bonus_does_not_push_the_policy_either_way():
-    agent = small_agent(curiosity_discount=0.5, learning_rate=1e-2, temperature="constant:1")
+    agent = small_agent(
+        prior="uniform", curiosity_discount=0.5, learning_rate=1e-2, temperature="constant:1"
+    )
     for _ in range(120):
         agent.update(random_transition(64), ConstantBonus(10.0))
     action = agent.act(torch.randn(256, 3), deterministic=True)
@@ -538,11 +544,11 @@ def test_a_fixed_temperature_stays():
     assert agent.temperature == pytest.approx(0.2)
 
 
-def test_default_target_is_the_usual_entropy_or_a_nat_for_each_action_dimension():
-    uniform, learned = plain_agent(prior="uniform"), plain_agent(prior="learned")
-    entropy_at_target = 2 * math.log(2) - uniform.target_information_rate
-    assert entropy_at_target == pytest.approx(-2)
-    assert learned.target_information_rate == 2
+@pytest.mark.parametrize("prior", ["uniform", "learned"])
+def test_default_target_is_the_usual_entropy_whatever_the_prior(prior):
+    agent = plain_agent(prior=prior)
+    entropy_from_uniform = 2 * math.log(2) - agent.target_information_rate
+    assert entropy_from_uniform == pytest.approx(-2)
 
 
 def test_information_rate_is_counted_from_a_normalised_prior(noise):
@@ -559,6 +565,13 @@ def test_information_rate_counts_from_the_learned_prior(noise):
     rate = agent.update(batch)["information_rate"].item()
     cost, _ = actor_terms(before, batch, noise[1], agent.critics)
     assert rate == pytest.approx(cost.item(), abs=1e-6)
+
+
+def test_the_prior_is_learned_by_default_where_there_is_a_bonus():
+    assert isinstance(small_agent().prior, LearnedPrior)
+    assert isinstance(small_agent(prior="uniform").prior, UniformPrior)
+    assert isinstance(plain_agent().prior, UniformPrior)
+    assert isinstance(plain_agent(prior="learned").prior, LearnedPrior)
 
 
 def test_a_learned_prior_learns_the_actions_of_the_policy():
@@ -834,6 +847,7 @@ def test_a_policy_of_two_components_keeps_two_ways_apart():
             return self.slope * action[:, 0].abs()
 
     agent = small_agent(
+        prior="uniform",
         policy_mixture_components=2,
         curiosity_discount=0.0,
         hunger=0.0,
@@ -943,7 +957,7 @@ def test_only_an_episodic_curiosity_value_ends_with_the_episode(episodic):
 
 
 def test_information_of_the_actions_is_bounded_from_both_sides_and_leaves_the_random_stream():
-    agent, observation = small_agent(), torch.randn(64, 3)
+    agent, observation = small_agent(), 4 * torch.randn(64, 3)
     random_state = torch.get_rng_state()
     metrics = agent.metrics(observation)
     assert torch.get_rng_state().equal(random_state)
@@ -993,8 +1007,10 @@ def random_sequences(num_steps, batch=32):
 
 def test_by_default_reward_is_charged_where_its_policy_maximises_nothing_else():
     assert plain_agent().soft_backup
-    assert small_agent(greedy_share=0.25).soft_backup
-    assert not small_agent().soft_backup  # the curious policy's cost is curiosity's too
+    assert small_agent(greedy_share=0.25, prior="uniform").soft_backup
+    assert not small_agent(
+        prior="uniform"
+    ).soft_backup  # the curious policy's cost is curiosity's too
     assert not small_agent(greedy_share=0.25, prior="learned").soft_backup
 
 

@@ -45,7 +45,7 @@ def speeds(folder):
 RUNNERS = {
     "Stable-Baselines3's SAC, as its users run it": "Stable-Baselines3",
     "the same with the matrix precision of ours": "Stable-Baselines3, our precision",
-    "plain agent (`--bonus none --prior uniform`)": "plain, compiled",
+    "plain agent (`--bonus none`)": "plain, compiled",
     "curious agent (five models, two pairs of critics, learned prior)": "curious, compiled",
     "plain agent, `--preset exact`": "plain, exact, compiled",
     "curious agent, `--preset exact`": "curious, exact, compiled",

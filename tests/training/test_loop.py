@@ -665,7 +665,7 @@ def unchanged(tiny_config, tmp_path_factory):
     [
         {"bonus": "none"},
         {"bonus": "constant"},
-        {"prior": "learned"},
+        {"prior": "uniform"},
         {"curiosity_discount": 0.0},
         {"bandwidth": "perplexity"},
         {"bandwidth": 0.3},
@@ -706,7 +706,7 @@ def unchanged(tiny_config, tmp_path_factory):
         {"actor_q": "min"},
         {"members": "all"},
         {"model_mixture_components": 2},
-        {"soft_backup": False},
+        {"soft_backup": True},
         {"curiosity_coefficient": 0.1},
     ],
     ids=str,

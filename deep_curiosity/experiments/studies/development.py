@@ -40,9 +40,9 @@ AGENTS: Agents = {
     "moments": {"whitening": "moments"},
     "256 components": {"components": 256},
     "nothing forgotten": {"marginal_half_life": None},
-    "hard backup": {"soft_backup": False},
+    "soft backup": {"soft_backup": True},
     "layer norm": {"critic_layer_norm": True},
-    "learned prior": {"prior": "learned"},
+    "uniform prior": {"prior": "uniform"},
 }
 
 FIXED = SMALL.override(total_steps=1_600, evaluation_interval=400, replay_capacity=4_000)

@@ -35,7 +35,7 @@ CURIOUS = Config.of(
     log_interval=1_000,
 )
 CLEVER = CURIOUS.override(env_id="CleverRandom", curiosity_discount=0.0)
-RELIABLE = CURIOUS.override(env_id="ReliableUnreliable", prior="learned")
+RELIABLE = CURIOUS.override(env_id="ReliableUnreliable")
 LONGER = {"replay_capacity": 20_000, "learning_rate": 3e-3, "total_steps": 10_000}
 
 
@@ -76,7 +76,7 @@ def exact_pi_stay(curiosity_discount: float) -> float:
 STUDIES = {
     "clever_random": Study(
         [Task("clever random", CLEVER)],
-        {"uniform prior": LONGER, "learned prior": {"prior": "learned"}},
+        {"uniform prior": {"prior": "uniform"} | LONGER, "learned prior": {}},
         columns=("extreme", "near_0", "near_1"),
         measure=measure_policy,
     ),

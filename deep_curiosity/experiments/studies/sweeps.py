@@ -134,8 +134,8 @@ HOPPER = task("Hopper-v5", WIDE)
 STUDIES = {
     "rate": Study(
         [
-            task("PendulumSwingup", SMALL, prior="learned", update_to_data=0.5, **COST),
-            task("HalfCheetah-v5", SMALL, prior="learned", update_to_data=0.5),
+            task("PendulumSwingup", SMALL, update_to_data=0.5, **COST),
+            task("HalfCheetah-v5", SMALL, update_to_data=0.5),
         ],
         {rate: {"target_information_rate": rate} for rate in (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)},
         label="target rate",
@@ -203,11 +203,11 @@ STUDIES = {
     "motors": Study(
         [MOTORS],
         {
-            "uniform": {},
-            "learned": {"prior": "learned"},
-            "learned, 4 nats": {"prior": "learned", "target_information_rate": 4.0},
-            "learned, 2 nats": {"prior": "learned", "target_information_rate": 2.0},
-            "learned, fixed price": {"prior": "learned", "temperature": "constant:0.02"},
+            "uniform": {"prior": "uniform"},
+            "learned": {},
+            "learned, 4 nats": {"target_information_rate": 4.0},
+            "learned, 2 nats": {"target_information_rate": 2.0},
+            "learned, fixed price": {"temperature": "constant:0.02"},
         },
         columns=AREA,
         measure=measure_area,

@@ -13,7 +13,7 @@ from torchrl.objectives import SACLoss, ValueEstimators
 from torchrl.objectives.sac import compute_rsample_log_prob
 from torchrl.objectives.utils import _cache_values, build_value_estimator, distance_loss
 
-from deep_curiosity.agent.networks import PRIORS, log_abs_det_tanh
+from deep_curiosity.agent.networks import DEFAULT_RATE, PRIORS, log_abs_det_tanh
 from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.integrations.torchrl.action_box import Key
 from deep_curiosity.integrations.torchrl.arguments import (
@@ -59,7 +59,7 @@ class CuriousActorCriticLoss(SACLoss):
         hunger: Weight of the extrinsic value, alpha; may be set at any step.
         prior: `"uniform"` for soft actor-critic's flat prior, `"learned"` for the action marginal.
         target_information_rate: Nats per action by which the policy may differ from the prior. By
-            default SACLoss's target entropy from the uniform prior, and 1 per action dimension
+            default SACLoss's target entropy from the uniform prior, and 1.69 per action dimension
             from the learned one.
         soft_backup: Charge the values with the information cost of later actions. By default only
             without a bonus and with the uniform prior.
@@ -110,7 +110,7 @@ class CuriousActorCriticLoss(SACLoss):
         check_differentiable(bonus, curiosity_discount)
         box = action_box(actor_network, action_spec)
         if target_information_rate is None and prior == "learned":
-            target_information_rate = PRIORS[prior].default_rate * box.dim
+            target_information_rate = DEFAULT_RATE * box.dim
         super().__init__(
             actor_network,
             qvalue_network,
