@@ -144,9 +144,7 @@ def test_what_is_said_of_dense_tasks_is_what_was_measured():
         areas[task, "curiosity"] / areas[task, "plain SAC"]
         for task in ("HalfCheetah-v5", "Hopper-v5")
     ]
-    said = (
-        "HalfCheetah-v5 the default's is {:.2f} times the plain agent's, on Hopper-v5 {:.2f} times"
-    )
+    said = "the curious agent's is {:.2f} times the plain agent's, on Hopper-v5 {:.2f} times"
     assert said.format(*times) in page
     assert {row["seed"] for row in rows} == {100, 101, 102}
 
@@ -177,32 +175,44 @@ def test_what_is_said_of_the_learned_prior_on_dense_tasks_is_what_was_measured()
 
 def test_what_is_said_of_both_priors_is_what_was_measured():
     page = text_of("docs/development/README.md")
-    rows = rows_of("docs/development/development.csv")
-    solved = {
-        agent: sum(row["solved"] for row in own)
-        for (agent,), own in grouped(rows, "agent").items()
+    tables = {
+        "learned": ("development", "default"),
+        "uniform": ("development", "uniform prior"),
+        "one nat": ("one-nat", "default"),
     }
-    area = interquartile_means("docs/development/development.csv", "area")
-    tasks = list(dict.fromkeys(task for task, _ in area))
-    larger = [task for task in tasks if area[task, "learned prior"] > area[task, "default"]]
-    ranks = 2 * len(tasks) - len(larger)
-    assert set(tasks) - set(larger) == {"PointMaze"}
+    rows, area = {}, {}
+    for prior, (name, agent) in tables.items():
+        path = f"docs/development/{name}.csv"
+        rows[prior] = [row for row in rows_of(path) if row["agent"] == agent]
+        means = interquartile_means(path, "area").items()
+        area[prior] = {task: value for (task, own), value in means if own == agent}
+    solved = {prior: sum(row["solved"] for row in own) for prior, own in rows.items()}
+    assert {len(own) for own in rows.values()} == {40}
     assert (
-        f"solves {solved['learned prior']:.0f} runs of {len(rows) // 2} and the uniform one "
-        f"{solved['default']:.0f}; its area is larger on {len(larger)} tasks of {len(tasks)}"
+        f"solves {solved['learned']:.0f} runs of 40 and the uniform one {solved['uniform']:.0f};"
         in page
     )
-    assert f"sum to {ranks} where the uniform one's sum to {3 * len(tasks) - ranks}." in page
-    groups = {
-        agent: [
-            [row["area"] for row in rows if (row["task"], row["agent"]) == (task, agent)]
-            for task in tasks
-        ]
-        for agent in solved
-    }
-    chance = probability_of_improvement(groups["default"], groups["learned prior"])
+    assert f"have two) it solves {solved['one nat']:.0f}." in page
+    ranks = dict.fromkeys(tables, 0)
+    for task in area["learned"]:
+        for rank, prior in enumerate(sorted(tables, key=lambda prior: -area[prior][task]), 1):
+            ranks[prior] += rank
+    said = "sum to {learned}, and to {one nat} with one nat and {uniform} with the uniform prior;"
+    assert said.format_map(ranks) in page
+    groups = [
+        [[row["area"] for row in rows[prior] if row["task"] == task] for task in area["learned"]]
+        for prior in ("learned", "uniform")
+    ]
     said = "with probability {:.2f}, with an interval from {:.2f} to {:.2f}"
-    assert said.format(*chance) in page
+    assert said.format(*probability_of_improvement(*groups)) in page
+    both = "is {} by area, in units of what counts as solved, where the uniform prior's is {}."
+    assert both.format(*joint_areas("docs/development/development.md")) in page
+
+
+def joint_areas(path):
+    """Area over all tasks of each agent, as a summary has it, with two digits."""
+    table = (ROOT / path).read_text().split("| all tasks |")[1].split("\n\n")[0]
+    return [f"{float(line.split('|')[4].split()[0]):.2f}" for line in table.splitlines()[2:]]
 
 
 def test_what_is_said_of_the_sparse_cartpole_is_what_its_runs_returned():

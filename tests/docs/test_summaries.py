@@ -15,6 +15,7 @@ TABLES = {  # whose names are not those of their studies
     "noise-curiosity": "noise",
     "harm-learned": "harm",
     "first_seed": "results",
+    "one-nat": "development",
 }
 
 
