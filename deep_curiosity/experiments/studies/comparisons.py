@@ -47,6 +47,7 @@ REACHER = Task(
 )
 CURIOSITY: Agents = {"curiosity": {}}
 PLAIN: Agents = {"plain SAC": {"bonus": "none"}}
+UNIFORM: Agents = {"uniform prior": {"prior": "uniform"}}
 BASELINES = ("disagreement", "information-gain", "rnd", "icm", "nearest-neighbours", "hash-count")
 UNDIRECTED = {"gSDE": "gsde", "pink noise": "pink", "Ornstein-Uhlenbeck": "ou"}
 
@@ -70,7 +71,7 @@ GOALS = [
 ]
 
 STUDIES = {
-    "goals": Study(GOALS, CURIOSITY, seeds=10, curves=True),
+    "goals": Study(GOALS, CURIOSITY | UNIFORM, seeds=10, curves=True),
     "sparse": Study([PENDULUM, _halved(MAZE)], CURIOSITY | PLAIN, seeds=10, curves=True),
     "control": Study([PENDULUM, MAZE], {"constant bonus": {"bonus": "constant"}}, curves=True),
     "subsampling": Study(

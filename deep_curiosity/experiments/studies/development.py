@@ -15,6 +15,7 @@ from deep_curiosity.experiments.studies.comparisons import (
     PENDULUM,
     PLAIN,
     SMALL,
+    UNIFORM,
 )
 from deep_curiosity.experiments.study import Agents, Study, Task
 from deep_curiosity.training.config import Config
@@ -42,8 +43,7 @@ AGENTS: Agents = {
     "nothing forgotten": {"marginal_half_life": None},
     "soft backup": {"soft_backup": True},
     "layer norm": {"critic_layer_norm": True},
-    "uniform prior": {"prior": "uniform"},
-}
+} | UNIFORM
 
 FIXED = SMALL.override(total_steps=1_600, evaluation_interval=400, replay_capacity=4_000)
 FIXED_TASKS = [

@@ -207,6 +207,8 @@ STUDIES = {
             "learned": {},
             "learned, 4 nats": {"target_information_rate": 4.0},
             "learned, 2 nats": {"target_information_rate": 2.0},
+            "uniform, 4 nats": {"prior": "uniform", "target_information_rate": 4.0},
+            "uniform, 2 nats": {"prior": "uniform", "target_information_rate": 2.0},
             "learned, fixed price": {"temperature": "constant:0.02"},
         },
         columns=AREA,
