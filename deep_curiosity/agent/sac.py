@@ -21,6 +21,8 @@ from deep_curiosity.agent.networks import (
     PRIORS,
     Critics,
     GaussianPolicy,
+    Prior,
+    UniformPrior,
     for_each_critic,
 )
 from deep_curiosity.configuration import check_range, override
@@ -148,7 +150,7 @@ class CuriousSAC(nn.Module):
         self._make_networks()
         soft_backup, rate = config.reward.soft_backup, config.target_information_rate
         is_about_reward = not curiosity or self.has_greedy_policy  # what Q's policy maximises
-        by_default = self.prior.soft_backup and is_about_reward
+        by_default = self._priors[0].soft_backup and is_about_reward
         self.soft_backup = by_default if soft_backup is None else soft_backup
         self.target_information_rate = DEFAULT_RATE * action_dim if rate is None else rate
         check_rate(self.target_information_rate, action_dim)
@@ -180,6 +182,12 @@ class CuriousSAC(nn.Module):
         )
         self.target_critics = deepcopy(self.critics).requires_grad_(False)
         self.prior = PRIORS[config.prior_of(curiosity=self.curiosity)](self.action_dim)
+        self.greedy_prior = UniformPrior(self.action_dim)
+
+    @property
+    def _priors(self) -> list[Prior]:
+        """Of each policy: greedy, curious."""
+        return [self.greedy_prior, self.prior] if self.has_greedy_policy else [self.prior]
 
     def _register_state(self, discounts: list[float]) -> None:
         """Make what changes while the agent lives, so that a compiled update follows it."""
@@ -505,7 +513,7 @@ class CuriousSAC(nn.Module):
             action = action.unflatten(0, (-1, batch_size))[: len(self.discounts)]
         value = self.target_critics.lower(policy_input, action)
         if self.soft_backup:
-            information_cost = policy.log_prob(pre_action) - self.prior.log_prob(pre_action)
+            information_cost = policy.log_prob(pre_action) - self._priors[0].log_prob(pre_action)
             if self.has_greedy_policy:  # which alone is charged, at a price of its own
                 value[0] -= self.log_temperature[0].exp() * information_cost[:batch_size]
             else:
@@ -530,9 +538,11 @@ class CuriousSAC(nn.Module):
         # one pre-action of each component, components leading: unbiased and differentiable in
         # the weights as well
         pre_action = policy.component_samples(torch.randn_like(policy.loc)).transpose(0, 1)
-        information_cost = policy.log_prob(pre_action) - self.prior.log_prob(pre_action)
-        information_cost = information_cost.unflatten(-1, shape)
+        log_prob = policy.log_prob(pre_action).unflatten(-1, shape)
         pre_action = pre_action.unflatten(1, shape)
+        information_cost = log_prob - torch.stack(
+            [prior.log_prob(pre_action[:, own]) for own, prior in enumerate(self._priors)], dim=1
+        )
         value, curiosity_value = self._values(policy_input, torch.tanh(pre_action), bonus, hunger)
         if self.has_greedy_policy:  # hungry for reward alone
             hunger = torch.stack([torch.ones_like(hunger), hunger]).unsqueeze(-1)
@@ -613,7 +623,8 @@ class CuriousSAC(nn.Module):
 
     def _update_temperature(self, sample: PolicySample) -> dict[str, Tensor]:
         """Adjust the price of a nat, where it is tuned, to hold the information rate."""
-        rate = (sample.weight * sample.information_cost).sum(0) + self.prior.log_excess
+        log_excess = sample.weight.new_tensor([[prior.log_excess] for prior in self._priors])
+        rate = (sample.weight * sample.information_cost).sum(0) + log_excess
         metrics = {
             "information_rate": rate[-1].mean(),
             "temperature": self.log_temperature.detach()[-1].exp(),
