@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from deep_curiosity.agent.networks import GaussianPolicy
+from deep_curiosity.agent.networks import GaussianPolicy, UniformPrior
 from deep_curiosity.agent.sac import CuriousSAC, PolicySample
 from deep_curiosity.bonuses.baselines import ConstantBonus
 from tests.agent.test_sac import (
@@ -87,7 +87,7 @@ def test_a_soft_backup_charges_the_greedy_policy_its_own_price():
     torch.manual_seed(0)
     policy = agent.policy(observation)
     pre_action = policy.sample()
-    cost = policy.log_prob(pre_action) - agent.prior.log_prob(pre_action)
+    cost = policy.log_prob(pre_action) - UniformPrior(2).log_prob(pre_action)
     torch.testing.assert_close(value[0], 1 - 100 * cost[:5].detach(), rtol=1e-4, atol=1e-3)
     assert (value[1] == 2).all()
 
@@ -105,9 +105,9 @@ def test_stacked_policies_hold_their_rows_one_after_the_other():
 
 @pytest.mark.parametrize("part", ["reward", "bonus"])
 def test_nothing_of_curiosity_reaches_the_greedy_policy(part):
-    """Another bonus moves the curious policy alone, another reward moves both."""
+    """Another bonus moves the curious policy, and its habits, alone; another reward moves both."""
     agents, batch = [], random_transition()
-    for factor in (1.0, 3.0):
+    for factor in (1.0, -3.0):
         torch.manual_seed(0)
         agent = greedy_agent(learning_rate=1e-2)
         scaled = batch._replace(reward=factor * batch.reward) if part == "reward" else batch

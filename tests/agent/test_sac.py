@@ -1007,11 +1007,10 @@ def random_sequences(num_steps, batch=32):
 
 def test_by_default_reward_is_charged_where_its_policy_maximises_nothing_else():
     assert plain_agent().soft_backup
-    assert small_agent(greedy_share=0.25, prior="uniform").soft_backup
-    assert not small_agent(
-        prior="uniform"
-    ).soft_backup  # the curious policy's cost is curiosity's too
-    assert not small_agent(greedy_share=0.25, prior="learned").soft_backup
+    assert not plain_agent(prior="learned").soft_backup
+    for prior in ("uniform", "learned"):
+        assert small_agent(greedy_share=0.25, prior=prior).soft_backup
+        assert not small_agent(prior=prior).soft_backup  # the cost is of what curiosity wants too
 
 
 def test_sequences_of_one_step_teach_what_transitions_teach():

@@ -43,7 +43,8 @@ AGENTS: Agents = {
     "nothing forgotten": {"marginal_half_life": None},
     "soft backup": {"soft_backup": True},
     "layer norm": {"critic_layer_norm": True},
-} | UNIFORM
+    **UNIFORM,
+}
 
 FIXED = SMALL.override(total_steps=1_600, evaluation_interval=400, replay_capacity=4_000)
 FIXED_TASKS = [
