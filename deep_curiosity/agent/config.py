@@ -101,8 +101,8 @@ class RewardValueConfig(Group):
     information cost after the last of them is charged."""
     soft_backup: bool | None = None
     """Charge the values with the information cost of later actions, as soft actor-critic does. By
-    default with the uniform prior, where reward's value is about a policy that maximises nothing
-    else: that of an agent without curiosity, or the greedy one, whose own cost it then is."""
+    default where reward's value is about a policy that maximises nothing else and has the uniform
+    prior: that of an agent without curiosity, or the greedy one, whose own cost it then is."""
 
 
 @dataclass(frozen=True)
@@ -139,7 +139,8 @@ class AgentConfig(Group):
     """Width of the two hidden layers of policy, critics and models."""
     prior: PriorName | None = None
     """Action prior: flat as in soft actor-critic, or the learned action marginal of (21). By
-    default learned where there is a bonus and uniform where there is none."""
+    default learned where there is a bonus and uniform where there is none. The greedy policy of a
+    curious agent always has the flat one."""
     hunger: float | Schedule | ConditionedHunger = setting(1.0, at_least=0, at_most=MOST_HUNGER)
     """Weight of the reward's value, alpha: a number; a schedule such as linear:1:10; or random,
     bandit, battery or conditioned:0.5, where policy and critics are given the hunger and learn

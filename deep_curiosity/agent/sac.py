@@ -75,9 +75,10 @@ class CuriousSAC(nn.Module):
     The two are learned apart, so `hunger` (alpha) and `temperature` (lambda) may be set at any
     step. Without a bonus and with the uniform prior this is soft actor-critic.
 
-    A curious agent is two policies. The curious one follows (21). The greedy one is (21) without
-    `Q_D`, and `Q` is its value: what could be earned from here on by whoever wished, which is not
-    forgotten while the curious policy looks elsewhere.
+    A curious agent is two policies. The curious one follows (21). The greedy one is soft
+    actor-critic's, without `Q_D` and with the uniform prior, so that it owes nothing to the habits
+    of the other, and `Q` is its value: what could be earned from here on by whoever wished, which
+    is not forgotten while the curious policy looks elsewhere.
 
     `Q_D` is relative to its mean over replay, as in relative value iteration: its targets leave
     that out of what follows. A bonus above zero then does not pile up, and the end of an episode

@@ -178,6 +178,7 @@ def test_what_is_said_of_both_priors_is_what_was_measured():
     tables = {
         "learned": ("development", "default"),
         "uniform": ("development", "uniform prior"),
+        "shared": ("shared-prior", "default"),
         "one nat": ("one-nat", "default"),
     }
     rows, area = {}, {}
@@ -186,25 +187,39 @@ def test_what_is_said_of_both_priors_is_what_was_measured():
         rows[prior] = [row for row in rows_of(path) if row["agent"] == agent]
         means = interquartile_means(path, "area").items()
         area[prior] = {task: value for (task, own), value in means if own == agent}
-    solved = {prior: sum(row["solved"] for row in own) for prior, own in rows.items()}
+    solved = {prior: f"{sum(row['solved'] for row in own):.0f}" for prior, own in rows.items()}
     assert {len(own) for own in rows.values()} == {40}
     assert (
-        f"solves {solved['learned']:.0f} runs of 40 and the uniform one {solved['uniform']:.0f};"
-        in page
+        f"solves {solved['learned']} runs of 40 and the uniform one {solved['uniform']};" in page
     )
-    assert f"have two) it solves {solved['one nat']:.0f}." in page
-    ranks = dict.fromkeys(tables, 0)
+    assert f"it solved {solved['shared']} as well, and with [one nat]" in page
+    assert f"(one-nat.csv)) {solved['one nat']};" in page
+    compared = ("learned", "uniform", "shared")
+    ranks = dict.fromkeys(compared, 0)
     for task in area["learned"]:
-        for rank, prior in enumerate(sorted(tables, key=lambda prior: -area[prior][task]), 1):
+        for rank, prior in enumerate(sorted(compared, key=lambda prior: -area[prior][task]), 1):
             ranks[prior] += rank
-    said = "sum to {learned}, and to {one nat} with one nat and {uniform} with the uniform prior;"
+    said = (
+        "default sum to {learned}, those of the uniform prior to {uniform}, and those of the "
+        "shared prior with 1.69 nats to {shared}."
+    )
     assert said.format_map(ranks) in page
+    larger = [task for task in area["learned"] if area["learned"][task] > area["uniform"][task]]
+    assert f"and on {len(larger)} tasks of {len(area['learned'])};" in page
+    assert set(area["learned"]) - set(larger) == {"MountainCarContinuous-v0"}
     groups = [
         [[row["area"] for row in rows[prior] if row["task"] == task] for task in area["learned"]]
         for prior in ("learned", "uniform")
     ]
-    said = "with probability {:.2f}, with an interval from {:.2f} to {:.2f}"
+    said = "the larger area with probability {:.2f}, with an interval from {:.2f} to {:.2f}"
     assert said.format(*probability_of_improvement(*groups)) in page
+    goals = grouped(rows_of("docs/development/goals-shared-prior.csv"), "agent", "task").items()
+    shared, uniform = (
+        [[row["evaluation_return"] for row in own] for (name, _), own in goals if name == agent]
+        for agent in ("curiosity", "uniform prior")
+    )
+    lower = probability_of_improvement(uniform, shared)
+    assert f"were lower than the uniform prior's with probability {lower.value:.2f}," in page
     both = "is {} by area, in units of what counts as solved, where the uniform prior's is {}."
     assert both.format(*joint_areas("docs/development/development.md")) in page
 

@@ -16,6 +16,8 @@ TABLES = {  # whose names are not those of their studies
     "harm-learned": "harm",
     "first_seed": "results",
     "one-nat": "development",
+    "shared-prior": "development",
+    "goals-shared-prior": "goals",
 }
 
 
