@@ -21,9 +21,8 @@ from deep_curiosity.agent.networks import (
     PRIORS,
     Critics,
     GaussianPolicy,
-    Prior,
-    UniformPrior,
     for_each_critic,
+    log_abs_det_tanh,
 )
 from deep_curiosity.configuration import check_range, override
 from deep_curiosity.losses import (
@@ -107,6 +106,7 @@ class CuriousSAC(nn.Module):
     _hunger: Tensor
     _fixed_coefficient: Tensor
     discounts: Tensor
+    log_excess: Tensor
     value_stds: Tensor
     curiosity_mean: Tensor
     optimizers: Mapping[str, Adam]
@@ -151,7 +151,7 @@ class CuriousSAC(nn.Module):
         self._make_networks()
         soft_backup, rate = config.reward.soft_backup, config.target_information_rate
         is_about_reward = not curiosity or self.has_greedy_policy  # what Q's policy maximises
-        by_default = self._priors[0].soft_backup and is_about_reward
+        by_default = is_about_reward and (self.has_greedy_policy or self.prior.soft_backup)
         self.soft_backup = by_default if soft_backup is None else soft_backup
         self.target_information_rate = DEFAULT_RATE * action_dim if rate is None else rate
         check_rate(self.target_information_rate, action_dim)
@@ -183,12 +183,6 @@ class CuriousSAC(nn.Module):
         )
         self.target_critics = deepcopy(self.critics).requires_grad_(False)
         self.prior = PRIORS[config.prior_of(curiosity=self.curiosity)](self.action_dim)
-        self.greedy_prior = UniformPrior(self.action_dim)
-
-    @property
-    def _priors(self) -> list[Prior]:
-        """Of each policy: greedy, curious."""
-        return [self.greedy_prior, self.prior] if self.has_greedy_policy else [self.prior]
 
     def _register_state(self, discounts: list[float]) -> None:
         """Make what changes while the agent lives, so that a compiled update follows it."""
@@ -199,6 +193,9 @@ class CuriousSAC(nn.Module):
         self.log_temperature = nn.Parameter(prices, requires_grad=self.tunes_temperature)
         self.register_buffer("_hunger", torch.tensor(_first_hunger(config)))
         self.register_buffer("_fixed_coefficient", torch.tensor(fixed))
+        of_greed = [[self.action_dim * math.log(2)]] * self.has_greedy_policy
+        excess = torch.tensor([*of_greed, [self.prior.log_excess]])
+        self.register_buffer("log_excess", excess, persistent=False)  # policies 1
         self.register_buffer("discounts", torch.tensor(discounts).unsqueeze(-1))  # values 1
         self.register_buffer("value_stds", torch.zeros(1 + self.curiosity))  # over replay
         self.register_buffer("curiosity_mean", torch.zeros(()))  # of Q_D over replay
@@ -343,7 +340,7 @@ class CuriousSAC(nn.Module):
         sequences = as_sequences(batch)
         self._check_update(sequences, bonus)
         steps, batch_size = sequences.steps, sequences.alive.shape[1]
-        hunger = self._sample_hunger(steps.reward[:batch_size])
+        hunger = sample_hunger(steps.reward[:batch_size]) if self.is_conditioned else self._hunger
         policy_input = self.policy_input(steps.observation[:batch_size], hunger)
         target = self._targets(sequences, bonus, hunger)
         metrics = self._update_critics(policy_input, steps.action[:batch_size], target)
@@ -415,12 +412,6 @@ class CuriousSAC(nn.Module):
         known = bonus.masked_fill(later & bonus.isnan(), 0.0)
         if not torch.linalg.vector_norm(known) <= LARGEST:
             check_moderate(bonus=known)
-
-    def _sample_hunger(self, like: Float[Tensor, " batch"]) -> Hunger:
-        """The agent's hunger; where conditioned a quarter at each end, the others between them."""
-        if not self.is_conditioned:
-            return self._hunger
-        return (2 * torch.rand_like(like) - 0.5).clamp(0.0, 1.0)
 
     def _update_critics(
         self,
@@ -514,10 +505,12 @@ class CuriousSAC(nn.Module):
             action = action.unflatten(0, (-1, batch_size))[: len(self.discounts)]
         value = self.target_critics.lower(policy_input, action)
         if self.soft_backup:
-            information_cost = policy.log_prob(pre_action) - self._priors[0].log_prob(pre_action)
+            log_prob = policy.log_prob(pre_action)
             if self.has_greedy_policy:  # which alone is charged, at a price of its own
-                value[0] -= self.log_temperature[0].exp() * information_cost[:batch_size]
+                information_cost = (log_prob - log_abs_det_tanh(pre_action))[:batch_size]
+                value[0] -= self.log_temperature[0].exp() * information_cost
             else:
+                information_cost = log_prob - self.prior.log_prob(pre_action)
                 coefficient = self._coefficient(hunger) if self.has_curiosity_critic else None
                 shares = price_shares(hunger, coefficient).reshape(len(value), -1)
                 cost = information_cost.unflatten(0, (-1, batch_size))
@@ -541,9 +534,10 @@ class CuriousSAC(nn.Module):
         pre_action = policy.component_samples(torch.randn_like(policy.loc)).transpose(0, 1)
         log_prob = policy.log_prob(pre_action).unflatten(-1, shape)
         pre_action = pre_action.unflatten(1, shape)
-        information_cost = log_prob - torch.stack(
-            [prior.log_prob(pre_action[:, own]) for own, prior in enumerate(self._priors)], dim=1
-        )
+        log_prior = self.prior.log_prob(pre_action[:, -1:])
+        if self.has_greedy_policy:  # whose prior is uniform
+            log_prior = torch.cat([log_abs_det_tanh(pre_action[:, :1]), log_prior], dim=1)
+        information_cost = log_prob - log_prior
         value, curiosity_value = self._values(policy_input, torch.tanh(pre_action), bonus, hunger)
         if self.has_greedy_policy:  # hungry for reward alone
             hunger = torch.stack([torch.ones_like(hunger), hunger]).unsqueeze(-1)
@@ -624,8 +618,7 @@ class CuriousSAC(nn.Module):
 
     def _update_temperature(self, sample: PolicySample) -> dict[str, Tensor]:
         """Adjust the price of a nat, where it is tuned, to hold the information rate."""
-        log_excess = sample.weight.new_tensor([[prior.log_excess] for prior in self._priors])
-        rate = (sample.weight * sample.information_cost).sum(0) + log_excess
+        rate = (sample.weight * sample.information_cost).sum(0) + self.log_excess
         metrics = {
             "information_rate": rate[-1].mean(),
             "temperature": self.log_temperature.detach()[-1].exp(),
@@ -666,6 +659,11 @@ def check_rate(rate: float, action_dim: int) -> None:
             f"`target_information_rate` must be positive and at most {MOST_NATS * action_dim} for "
             f"{action_dim} action dimensions, got {rate}."
         )
+
+
+def sample_hunger(like: Float[Tensor, " batch"]) -> Float[Tensor, " batch"]:
+    """Hungers to relabel a batch with: a quarter at each end, the others between them."""
+    return (2 * torch.rand_like(like) - 0.5).clamp(0.0, 1.0)
 
 
 def _first_hunger(config: AgentConfig) -> float:

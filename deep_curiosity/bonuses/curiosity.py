@@ -202,7 +202,7 @@ class CuriosityBonus(Bonus):
         if next_observation is not None and getattr(next_observation, "shape", None) != shape:
             dim = self.observation_dim
             check_inputs(
-                self._dtype,
+                self.probe_observation.dtype,
                 observation=(observation, dim),
                 next_observation=(next_observation, dim),
             )
@@ -391,7 +391,7 @@ class CuriosityBonus(Bonus):
 
     def _check_question(self, observation: Tensor, action: Tensor) -> None:
         check_inputs(
-            self._dtype,
+            self.probe_observation.dtype,
             observation=(observation, self.observation_dim),
             action=(action, self.action_dim),
         )
@@ -399,11 +399,8 @@ class CuriosityBonus(Bonus):
             raise RuntimeError("`observe` must see a batch before the bonus can be computed.")
 
     def _check_transition(self, transition: Transition) -> None:
-        check_transition(transition, self.observation_dim, self.action_dim, self._dtype)
-
-    @property
-    def _dtype(self) -> torch.dtype:
-        return self.probe_observation.dtype
+        dtype = self.probe_observation.dtype
+        check_transition(transition, self.observation_dim, self.action_dim, dtype)
 
     def _remember(self, fresh: Transition) -> None:
         """Let visited states take the place of the oldest ones, for the next renewal."""

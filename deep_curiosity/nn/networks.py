@@ -162,9 +162,11 @@ def frozen(module: nn.Module) -> Iterator[None]:
     if torch.compiler.is_compiling():
         yield
         return
-    parameters = [parameter for parameter in module.parameters() if parameter.requires_grad]
-    for parameter in parameters:
-        parameter.requires_grad_(False)
+    parameters = []
+    for parameter in module.parameters():
+        if parameter.requires_grad:
+            parameter.requires_grad_(False)
+            parameters.append(parameter)
     try:
         yield
     finally:

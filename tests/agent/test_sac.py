@@ -10,7 +10,7 @@ from torch.distributions.transforms import TanhTransform
 
 from deep_curiosity.agent.config import TEMPERATURES, AgentConfig, ConditionedHunger
 from deep_curiosity.agent.networks import LearnedPrior, UniformPrior
-from deep_curiosity.agent.sac import CuriousSAC
+from deep_curiosity.agent.sac import CuriousSAC, sample_hunger
 from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.bonuses.baselines import ConstantBonus
 from deep_curiosity.gaussians import DiagonalMixture
@@ -887,7 +887,7 @@ def test_hunger_must_be_one_number_or_one_for_each():
 
 
 def test_relabelled_hungers_cover_the_range_with_both_its_ends():
-    hunger = conditioned_agent()._sample_hunger(torch.zeros(4_000))
+    hunger = sample_hunger(torch.zeros(4_000))
     assert hunger.min() == 0 and hunger.max() == 1
     for end in (0.0, 1.0):
         assert (hunger == end).double().mean().item() == pytest.approx(0.25, abs=0.03)

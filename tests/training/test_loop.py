@@ -706,7 +706,7 @@ def unchanged(tiny_config, tmp_path_factory):
         {"actor_q": "min"},
         {"members": "all"},
         {"model_mixture_components": 2},
-        {"soft_backup": True},
+        {"soft_backup": False},
         {"curiosity_coefficient": 0.1},
     ],
     ids=str,
