@@ -18,6 +18,7 @@ TABLES = {  # whose names are not those of their studies
     "one-nat": "development",
     "shared-prior": "development",
     "goals-shared-prior": "goals",
+    "goals-learned": "goals",
 }
 
 
