@@ -193,6 +193,7 @@ class CuriousSAC(nn.Module):
         self.log_temperature = nn.Parameter(prices, requires_grad=self.tunes_temperature)
         self.register_buffer("_hunger", torch.tensor(_first_hunger(config)))
         self.register_buffer("_fixed_coefficient", torch.tensor(fixed))
+        # what densities integrate to, in logs: uniform ones have density one on the action box
         of_greed = [[self.action_dim * math.log(2)]] * self.has_greedy_policy
         excess = torch.tensor([*of_greed, [self.prior.log_excess]])
         self.register_buffer("log_excess", excess, persistent=False)  # policies 1
