@@ -28,6 +28,9 @@ FIRST_LOGIT = 2.0  # of a prior's standard deviation, then 0.88, as of a uniform
 UNIFORM_EDGE = 1 - 1e-6  # atanh is infinite at the edge of the action box
 OF_REWARD, OF_OTHERS = slice(0, 2), slice(2, None)  # critics
 NUM_PRIOR_SAMPLES = 256  # for the reported divergence of the prior from uniform
+DEFAULT_RATE = 1 + math.log(2)
+"""Nats for each action dimension by which a policy may differ from its prior: from the uniform one
+that is soft actor-critic's usual target entropy of minus the number of action dimensions."""
 
 
 class GaussianPolicy(nn.Module):
@@ -180,11 +183,6 @@ class Critics(nn.Module):
 def for_each_critic(value: Float[Tensor, "values *rest"]) -> Float[Tensor, "critics *rest"]:
     """What belongs to each value, for each of its critics."""
     return torch.cat([value[:1], value])
-
-
-DEFAULT_RATE = 1 + math.log(2)
-"""Nats for each action dimension by which a policy may differ from its prior: from the uniform one
-that is soft actor-critic's usual target entropy of minus the number of action dimensions."""
 
 
 class Prior(nn.Module, ABC):

@@ -150,8 +150,8 @@ class CuriousSAC(nn.Module):
         discounts = discounts if self.has_curiosity_critic else discounts[:1]
         self._make_networks()
         soft_backup, rate = config.reward.soft_backup, config.target_information_rate
-        is_about_reward = not curiosity or self.has_greedy_policy  # what Q's policy maximises
-        by_default = is_about_reward and (self.has_greedy_policy or self.prior.soft_backup)
+        # where Q is about a policy that is soft actor-critic's own
+        by_default = self.has_greedy_policy or (not curiosity and self.prior.soft_backup)
         self.soft_backup = by_default if soft_backup is None else soft_backup
         self.target_information_rate = DEFAULT_RATE * action_dim if rate is None else rate
         check_rate(self.target_information_rate, action_dim)
@@ -194,7 +194,7 @@ class CuriousSAC(nn.Module):
         self.register_buffer("_hunger", torch.tensor(_first_hunger(config)))
         self.register_buffer("_fixed_coefficient", torch.tensor(fixed))
         # what densities integrate to, in logs: uniform ones have density one on the action box
-        of_greed = [[self.action_dim * math.log(2)]] * self.has_greedy_policy
+        of_greed = [[self.prior.log_volume]] * self.has_greedy_policy
         excess = torch.tensor([*of_greed, [self.prior.log_excess]])
         self.register_buffer("log_excess", excess, persistent=False)  # policies 1
         self.register_buffer("discounts", torch.tensor(discounts).unsqueeze(-1))  # values 1
@@ -508,13 +508,13 @@ class CuriousSAC(nn.Module):
         if self.soft_backup:
             log_prob = policy.log_prob(pre_action)
             if self.has_greedy_policy:  # which alone is charged, at a price of its own
-                information_cost = (log_prob - log_abs_det_tanh(pre_action))[:batch_size]
-                value[0] -= self.log_temperature[0].exp() * information_cost
+                cost = log_prob[:batch_size] - log_abs_det_tanh(pre_action[:batch_size])
+                value[0] -= self.log_temperature[0].exp() * cost
             else:
-                information_cost = log_prob - self.prior.log_prob(pre_action)
+                cost = log_prob - self.prior.log_prob(pre_action)
+                cost = cost.unflatten(0, (-1, batch_size))
                 coefficient = self._coefficient(hunger) if self.has_curiosity_critic else None
                 shares = price_shares(hunger, coefficient).reshape(len(value), -1)
-                cost = information_cost.unflatten(0, (-1, batch_size))
                 value -= self.log_temperature.exp() * shares * cost
         return value
 

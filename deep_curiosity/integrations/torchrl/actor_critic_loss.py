@@ -1,7 +1,7 @@
 """Torchrl's soft actor-critic loss with a second, curious value and an action prior."""
 
 from dataclasses import dataclass
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from tensordict import TensorDict, TensorDictBase, TensorDictParams
@@ -13,6 +13,7 @@ from torchrl.objectives import SACLoss, ValueEstimators
 from torchrl.objectives.sac import compute_rsample_log_prob
 from torchrl.objectives.utils import _cache_values, build_value_estimator, distance_loss
 
+from deep_curiosity.agent.config import PriorName
 from deep_curiosity.agent.networks import DEFAULT_RATE, PRIORS, log_abs_det_tanh
 from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.integrations.torchrl.action_box import Key
@@ -99,7 +100,7 @@ class CuriousActorCriticLoss(SACLoss):
         *,
         curiosity_discount: float = 0.97,
         hunger: float = 1.0,
-        prior: Literal["uniform", "learned"] = "uniform",
+        prior: PriorName = "uniform",
         target_information_rate: float | None = None,
         soft_backup: bool | None = None,
         action_spec: TensorSpec | None = None,
