@@ -224,6 +224,30 @@ def test_what_is_said_of_both_priors_is_what_was_measured():
     assert both.format(*joint_areas("docs/development/development.md")) in page
 
 
+def test_what_is_said_of_other_half_lives_is_what_was_measured():
+    page = text_of("docs/development/README.md")
+    default, of_4, of_30 = (
+        interquartile_means(f"docs/development/{name}.csv", "area")
+        for name in ("development", "half-life-4", "half-life-30")
+    )
+    areas = [
+        f"{of_4[task, 'default']:.0f} instead of {default[task, 'default']:.0f} {where}"
+        for task, where in (("PointMaze", "in the maze"), ("PendulumSwingup", "on the pendulum"))
+    ]
+    assert f"the area is smaller on both: {', '.join(areas)}. With" in page
+    assert f"alone, it is {of_30['PointMaze', 'default']:.0f}. What" in page
+    solved = []
+    for name in ("half-life-4", "development"):
+        rows = [
+            row
+            for row in rows_of(f"docs/development/{name}.csv")
+            if (row["task"], row["agent"]) in of_4
+        ]
+        assert len(rows) == 16
+        solved.append(f"{sum(row['solved'] for row in rows):.0f}")
+    assert f"solved in {solved[0]} of 16 runs, in {solved[1]} by default" in page
+
+
 def joint_areas(path):
     """Area over all tasks of each agent, as a summary has it, with two digits."""
     table = (ROOT / path).read_text().split("| all tasks |")[1].split("\n\n")[0]

@@ -17,6 +17,8 @@ TABLES = {  # whose names are not those of their studies
     "first_seed": "results",
     "one-nat": "development",
     "shared-prior": "development",
+    "half-life-4": "development",
+    "half-life-30": "development",
     "goals-shared-prior": "goals",
     "goals-learned": "goals",
 }
