@@ -167,7 +167,7 @@ class AgentConfig(Group):
     order, or the smaller of both. Critics learn from the smaller either way."""
     actor_batch_fraction: float = setting(0.5, above=0, at_least=1e-4, at_most=1)
     """Share of a batch from which policy, prior and temperature learn, one over a whole number;
-    critics and models learn from all of it."""
+    critics learn from all of it, and models as `members` says."""
     reward: RewardValueConfig = field(default_factory=RewardValueConfig)
     curiosity: CuriosityValueConfig = field(default_factory=CuriosityValueConfig)
 

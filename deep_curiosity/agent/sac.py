@@ -74,7 +74,8 @@ class CuriousSAC(nn.Module):
     The two are learned apart, so `hunger` (alpha) and `temperature` (lambda) may be set at any
     step. Without a bonus and with the uniform prior this is soft actor-critic.
 
-    A curious agent is two policies. The curious one follows (21). The greedy one is soft
+    A curious agent is two policies, unless it is conditioned on its hunger or `greedy_share` is 0:
+    then there is the first alone. The curious one follows (21). The greedy one is soft
     actor-critic's, without `Q_D` and with the uniform prior, so that it owes nothing to the habits
     of the other, and `Q` is its value: what could be earned from here on by whoever wished, which
     is not forgotten while the curious policy looks elsewhere.

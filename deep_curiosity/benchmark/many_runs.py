@@ -20,6 +20,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
+from deep_curiosity.arguments import read_arguments
 from deep_curiosity.experiments.engines.base import Job
 from deep_curiosity.experiments.engines.local import ExecutorEngine
 from deep_curiosity.experiments.grid import run_study
@@ -208,4 +209,4 @@ def main() -> None:
 
 
 if __name__ == "__main__":
-    main()
+    read_arguments(main, description=__doc__)

@@ -49,10 +49,10 @@ Stable-Baselines3's SAC (SB3) is taken as its users run it, with torch's own pre
 products, and with the precision that ours runs with; SBX's (JAX) and MaxInfoRL's are beside it
 where they are installed (`deep_curiosity/benchmark/peers.py`). "Curious" is the default with the
 learned prior. By default the policy learns from every second transition of a batch, where it
-maximises one critic of each pair, each transition trains one model and its bonus comes from one
-model, and the marginal is renewed at every {CuriosityConfig.refresh_interval}th update. "Exact"
-is the preset of that name: policy and models learn from all transitions, the policy maximises the
-smaller of two critics, as that of SB3 does, every bonus is the mean of all models, and the
+maximises one of reward's two critics, each transition trains one model and its bonus comes from
+one model, and the marginal is renewed at every {CuriosityConfig.refresh_interval}th update.
+"Exact" is the preset of that name: policy and models learn from all transitions, the policy
+maximises the smaller of two critics, as that of SB3 does, every bonus is the mean of all models, and the
 marginal is renewed at every {PRESETS["exact"]["refresh_interval"]}th update. The first update is
 counted from the start of the process, imports and cold compilation included; memory is the
 largest resident memory of the process. A million transitions of replay take

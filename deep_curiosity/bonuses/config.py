@@ -240,8 +240,8 @@ class CuriosityConfig(WeightedConfig):
     tune_weight: float | Literal["past"] | None = setting(
         None, name="tune_bonus_weight", at_least=-1e6, at_most=1e6
     )
-    """Let the weight rise while the policy earns less than: past, what it earned of late; or so
-    many nats."""
+    """Tune the weight: it rises while the policy's mean score is below a goal and falls while it
+    is above. `past` takes what it scored of late as the goal, a number so many nats."""
     parts: dict[str, float] = setting({}, name="bonus_parts", at_least=-1e6, at_most=1e6)
     """Weights of what curiosity is made of, instead of D as a whole: predictive_power,
     information_gain, negative_entropy, cross_entropy; such as: information_gain 1"""

@@ -65,7 +65,8 @@ class CuriosityBonus(Bonus):
     of the members' mean prediction, and `information_gain`, what the next state would tell about
     which member is right, add up to `D`; so do `cross_entropy`, how rare the next state is, and
     `negative_entropy`, how sure. All are closed forms: `D` and the cross-entropy upper bounds, the
-    gain a lower bound (see `parts.information_gain`), and predictive power what is left of `D`.
+    gain a lower bound (see `decomposition.information_gain`), and predictive power what is left
+    of `D`.
 
     Args:
         dynamics: Ensemble of models of the next state. Where it gives each row to one of its

@@ -26,7 +26,7 @@ class Args(Group):
     """What to check."""
 
     env_id: Annotated[str, tyro.conf.Positional]
-    """Task: one of ours, a gymnasium id, or dm_control/DOMAIN-TASK-v0."""
+    """Task: one of ours, a gymnasium id, dm_control/DOMAIN-TASK-v0, or MODULE:TASK-v0."""
     env_kwargs: dict[str, bool | int | float | str | None] = setting({})
     """Keyword arguments of the environment, such as: action_cost 0.1"""
     frame_stack: int = setting(1, at_most=1_000)

@@ -65,7 +65,7 @@ class LearnerIntegration(Integration):
         self.learner.update()
 
     def critic(self) -> list[Tensor]:
-        """Both pairs of critics."""
+        """All critics."""
         return list(self.learner.agent.critics.parameters())
 
     def actor(self) -> list[Tensor]:

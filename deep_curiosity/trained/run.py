@@ -43,6 +43,7 @@ def train(
     env: str | None = None,
     *,
     make_env: Callable[[], Any] | None = None,
+    preset: str | None = None,
     hunger: Any = None,
     show_progress: bool = True,
     **settings: Any,
@@ -52,11 +53,12 @@ def train(
     Args:
         env: Task: its id, such as `"PendulumSwingup"`; by default as in `Config`.
         make_env: Makes an environment of your own, anew at every call, in the place of `env`.
+        preset: How networks sample a batch: `"fast"`, the default, `"exact"` or `"paper"`.
         hunger: A setting as any other; or a function of observation and info, see
             `deep_curiosity.training.train`.
         show_progress: Show a bar with return, bonus in nats and steps per second.
         **settings: Of `Config`, by their flat names, such as `total_steps`, `out` or
-            `bonus="rnd"`; and `preset`.
+            `bonus="rnd"`.
 
     Returns:
         The run: its folder, summary and policy, and its model and bonus where it has any.
@@ -75,7 +77,7 @@ def train(
         settings["hunger"] = hunger
     if env is not None:
         settings["env_id"] = env
-    config = Config.of(**settings)
+    config = Config.of(preset, **settings)
     summary = train_agent(config, hunger=function, make_env=make_env, show_progress=show_progress)
     return TrainedRun(config.run.out, summary)
 

@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+from deep_curiosity.arguments import read_arguments
 from deep_curiosity.bonuses.config import BONUS_CONFIGS
 from deep_curiosity.configuration import Group, as_plain, flat
 from deep_curiosity.training.command_line import (
@@ -19,10 +20,10 @@ INTRODUCTION = """\
 # Settings
 
 Every setting has one name. It is a flag of `deep-curiosity train` (`--total-steps 8000`; `--no-`
-before the name of a switch turns it off), a keyword in Python (`Config.of(total_steps=8000)`) and
-an entry of a run's `config.json`. A setting that would do nothing in a run is refused. `--help`
-lists the common ones, `--help-all` all. `python -m deep_curiosity.training.settings_page` writes
-this page.
+before the name of a switch turns it off, where its default is `True` or `False`), a keyword in
+Python (`Config.of(total_steps=8000)`) and an entry of a run's `config.json`. A setting that would
+do nothing in a run is refused. `--help` lists the common ones, `--help-all` all. `python -m
+deep_curiosity.training.settings_page` writes this page.
 
 ## Command line
 """
@@ -64,5 +65,10 @@ def _flag(name: str) -> str:
     return name.replace("_", "-")
 
 
-if __name__ == "__main__":
+def main() -> None:
+    """Write the page."""
     Path("docs/settings.md").write_text(settings_page())
+
+
+if __name__ == "__main__":
+    read_arguments(main, description=__doc__)

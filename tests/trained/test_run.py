@@ -109,6 +109,14 @@ def test_hunger_may_be_a_schedule(tmp_path):
     assert read_config(run.folder).agent.hunger == schedule
 
 
+def test_a_preset_is_taken_as_on_the_command_line(tmp_path):
+    run = dc.train(TASK, preset="exact", out=tmp_path / "run", **TINY)
+    written = json.loads((run.folder / "config.json").read_text())
+    assert (written["members"], written["actor_q"]) == ("all", "min")
+    with pytest.raises(ValueError, match=r"`preset` must be one of .* got 'quick'"):
+        dc.train(TASK, preset="quick", out=tmp_path / "other", **TINY)
+
+
 def test_a_setting_that_is_none_is_named(tmp_path):
     with pytest.raises(TypeError, match="`bonus_wait` is no setting here"):
         dc.train(TASK, out=tmp_path / "run", bonus_wait=1)
