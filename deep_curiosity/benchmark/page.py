@@ -53,8 +53,8 @@ maximises one of reward's two critics, each transition trains one model and its 
 one model, and the marginal is renewed at every {CuriosityConfig.refresh_interval}th update.
 "Exact" is the preset of that name: policy and models learn from all transitions, the policy
 maximises the smaller of two critics, as that of SB3 does, every bonus is the mean of all models,
-and the marginal is renewed at every {PRESETS["exact"]["refresh_interval"]}th update. The first update is
-counted from the start of the process, imports and cold compilation included; memory is the
+and the marginal is renewed at every {PRESETS["exact"]["refresh_interval"]}th update. The
+first update is counted from the start of the process, imports and cold compilation included; memory is the
 largest resident memory of the process. A million transitions of replay take
 {replay_megabytes():.0f} MB.
 
