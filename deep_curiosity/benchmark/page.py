@@ -54,8 +54,8 @@ one model, and the marginal is renewed at every {CuriosityConfig.refresh_interva
 "Exact" is the preset of that name: policy and models learn from all transitions, the policy
 maximises the smaller of two critics, as that of SB3 does, every bonus is the mean of all models,
 and the marginal is renewed at every {PRESETS["exact"]["refresh_interval"]}th update. The
-first update is counted from the start of the process, imports and cold compilation included; memory is the
-largest resident memory of the process. A million transitions of replay take
+first update is counted from the start of the process, imports and cold compilation included;
+memory is the largest resident memory of the process. A million transitions of replay take
 {replay_megabytes():.0f} MB.
 
 ![Environment steps per second](agents.png)
