@@ -15,12 +15,13 @@ import tyro
 
 from deep_curiosity.arguments import check_folder, read_arguments
 from deep_curiosity.configuration import MOST_SEED, Group, setting
-from deep_curiosity.training.collector import evaluate
+from deep_curiosity.training.collector import Episode, evaluate
 from deep_curiosity.training.environments import make_environment
 from deep_curiosity.training.log import read_config
 from deep_curiosity.training.playback import (
     check_video,
     load_policy,
+    load_usual_observation,
     record_episode,
     write_video,
 )
@@ -55,17 +56,28 @@ def main(arguments: Sequence[str]) -> int:
     args = read_arguments(Args, arguments, description=__doc__, prog="deep-curiosity evaluate")
     config = read_config(args.folder)
     environment = make_environment(config.environment)
+    usual = load_usual_observation(args.folder)
     for hunger in args.hunger or (None,):
         act = load_policy(args.folder, config, environment, hunger=hunger)
-        episodes = evaluate(act, environment, episodes=args.episodes, seed=args.seed)
-        returns = [episode.episode_return for episode in episodes]
-        std = statistics.stdev(returns) if len(returns) > 1 else 0.0
+        episodes = evaluate(
+            act, environment, episodes=args.episodes, seed=args.seed, usual_observation=usual
+        )
         at = "" if hunger is None else f" at hunger {hunger:g}"
-        mean = statistics.mean(returns)
-        print(f"{config.environment.env_id}{at}: return {mean:.2f} +- {std:.2f}")
+        print(f"{config.environment.env_id}{at}: {describe_returns(episodes)}")
     if args.video is not None:
         screen = make_environment(config.environment, render_mode="rgb_array")
-        frames = record_episode(act, screen, seed=args.seed)
+        frames = record_episode(act, screen, seed=args.seed, usual_observation=usual)
         write_video(args.video, frames, fps=screen.metadata.get("render_fps", 30))
         print(f"video of {len(frames)} frames in {args.video}")
     return 0
+
+
+def describe_returns(episodes: Sequence[Episode]) -> str:
+    """Mean and standard deviation of the returns, in words; broken episodes do not count."""
+    returns = [episode.episode_return for episode in episodes if not episode.broken]
+    num_broken = len(episodes) - len(returns)
+    broken = f" ({num_broken} of {len(episodes)} episodes broke off)" if num_broken else ""
+    if not returns:
+        return f"return unknown{broken}"
+    std = statistics.stdev(returns) if len(returns) > 1 else 0.0
+    return f"return {statistics.mean(returns):.2f} +- {std:.2f}{broken}"

@@ -23,7 +23,7 @@ from deep_curiosity.training.outliers import (
     FACTOR,
     USUAL_REWARD,
     UsualSize,
-    usual_observation,
+    usual_size,
 )
 from deep_curiosity.training.single_environment import SingleEnvironment
 
@@ -89,12 +89,20 @@ class Collector:
         environment: Takes actions in [-1, 1]; autoreset of a vector environment is disabled, so
             that what a step returns is the true next observation also where an episode ends.
         seed: Together with the number of the episode it seeds every reset.
+        usual_observation: `(observation_dim,)`, sizes that another collector of the task has found
+            usual; by default those of the first observation.
 
     Raises:
         ValueError: If the environment resets by itself.
     """
 
-    def __init__(self, environment: gymnasium.Env | VectorEnv, seed: int) -> None:
+    def __init__(
+        self,
+        environment: gymnasium.Env | VectorEnv,
+        seed: int,
+        *,
+        usual_observation: np.ndarray | None = None,
+    ) -> None:
         if not isinstance(environment, VectorEnv):
             environment = SingleEnvironment(environment)
         mode = environment.metadata.get("autoreset_mode")
@@ -117,14 +125,26 @@ class Collector:
         self._success = np.zeros(num_envs)
         self._num_broken_in_row = 0
         self._is_restoring = False
+        self._is_first = usual_observation is None  # of all observations
         space = environment.single_observation_space
         assert isinstance(space, spaces.Box)
-        self._usual_observation = UsualSize(usual_observation(space.low, space.high))
+        self._usual_observation = UsualSize(usual_size(space.low, space.high))
+        if usual_observation is not None:
+            self.begin_from(usual_observation)
         self._usual_reward = UsualSize(np.array([USUAL_REWARD]), kept=FACTOR)
         self._cut_names: set[str] = set()  # of what was cut so far, each told once
         self._raw_observation = np.zeros((num_envs, *space.shape), dtype=space.dtype)
         self.observation = self._raw_observation
         self._start(np.ones(num_envs, dtype=bool))
+
+    @property
+    def usual_observation(self) -> np.ndarray:
+        """Size of each entry of an observation, `(observation_dim,)`, that is usual by now."""
+        return self._usual_observation.size
+
+    def begin_from(self, usual_observation: np.ndarray) -> None:
+        """Take sizes as usual that another collector has found, in a task of the same sizes."""
+        self._usual_observation.begin(usual_observation[None])
 
     def step(self, action: np.ndarray) -> tuple[Step, list[Episode]]:
         """Step every environment once; return the step, and the episodes that it ended.
@@ -273,6 +293,9 @@ class Collector:
             self._count_broken([True] * int(broken.sum()))
         if mask.any():
             start = self._raw_observation[mask]
+            if self._is_first:
+                self._usual_observation.begin(start)
+                self._is_first = False
             self.observation = self.observation.copy()
             self.observation[mask] = self._cut("observation", self._usual_observation, start)
 
@@ -319,7 +342,12 @@ def _check_repeated(observation: np.ndarray, expected: np.ndarray, num_steps: in
 
 
 def evaluate(
-    act: Policy, environment: gymnasium.Env, *, episodes: int, seed: int
+    act: Policy,
+    environment: gymnasium.Env,
+    *,
+    episodes: int,
+    seed: int,
+    usual_observation: np.ndarray | None = None,
 ) -> list[Episode]:
     """Run whole episodes of a policy, the same ones at every call.
 
@@ -328,8 +356,10 @@ def evaluate(
         environment: Apart from the one that is trained on.
         episodes: How many.
         seed: Seed of their resets.
+        usual_observation: That of the collector which the policy has learned from, so that it is
+            shown what it was shown there.
     """
-    collector = Collector(environment, seed)
+    collector = Collector(environment, seed, usual_observation=usual_observation)
     finished: list[Episode] = []
     while len(finished) < episodes:
         action = act(as_batch(collector.observation), collector.present_info).numpy()

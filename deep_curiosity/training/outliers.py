@@ -28,6 +28,10 @@ class UsualSize:
         self.kept = kept
         self.size = floor.copy()
 
+    def begin(self, value: np.ndarray) -> None:
+        """Take as usual what a stream begins with, `(rows, dim)` and finite."""
+        self.size = np.maximum(self.size, np.abs(value).max(0))
+
     def cut(self, value: np.ndarray) -> np.ndarray:
         """The value, `(rows, dim)` and finite, with nothing absurd in it; learns from it."""
         size = np.abs(value)
@@ -39,7 +43,7 @@ class UsualSize:
         return np.where(absurd, np.sign(value) * usual, value).astype(value.dtype)
 
 
-def usual_observation(low: np.ndarray, high: np.ndarray) -> np.ndarray:
+def usual_size(low: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Sizes of observations that are usual from the start: 1, or what their space says."""
     bound = np.maximum(np.abs(low), np.abs(high)).astype(float)
     return np.where(bound <= MAX_DECLARED, np.maximum(bound / FACTOR, 1.0), 1.0)

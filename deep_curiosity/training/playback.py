@@ -42,6 +42,16 @@ def load_agent(folder: Path, config: Config, environment: gymnasium.Env) -> Curi
     return agent
 
 
+def load_usual_observation(folder: Path) -> NDArray[Any] | None:
+    """Sizes that the run has found usual, `(observation_dim,)`; `None` where it is too old to say.
+
+    Raises:
+        FileNotFoundError: If the folder holds no readable checkpoint.
+    """
+    usual = load_checkpoint(folder)["collector"].get("usual_observation")
+    return None if usual is None else usual.numpy()
+
+
 def load_policy(
     folder: Path, config: Config, environment: gymnasium.Env, *, hunger: float | None = None
 ) -> Policy:
@@ -72,7 +82,11 @@ def load_policy(
 
 
 def record_episode(
-    act: Policy, environment: gymnasium.Env, *, seed: int
+    act: Policy,
+    environment: gymnasium.Env,
+    *,
+    seed: int,
+    usual_observation: NDArray[Any] | None = None,
 ) -> list[NDArray[np.uint8]]:
     """Frames, height x width x RGB, of one episode.
 
@@ -80,8 +94,9 @@ def record_episode(
         act: The policy that is played.
         environment: Made with `render_mode="rgb_array"`.
         seed: Of the reset.
+        usual_observation: That of the policy's run, see `load_usual_observation`.
     """
-    collector = Collector(environment, seed)
+    collector = Collector(environment, seed, usual_observation=usual_observation)
     frames = [_frame(environment)]
     finished: list[Episode] = []
     while not finished:

@@ -176,6 +176,7 @@ class Run:
                 self.evaluation_environment,
                 episodes=self.config.run.evaluation_episodes,
                 seed=EVALUATION_SEED,
+                usual_observation=self.collector.usual_observation,
             )
         self.run_log.on_evaluated(episodes)
         values = self.latest_evaluation()
@@ -402,7 +403,7 @@ def open_run(
         stack.callback(collector.environment.close)
         begins = not resume or is_unbegun(config.run.out)
         if begins:
-            begin_from(config, learner)
+            begin_from(config, learner, collector)
         lease = _hold_folder(config.run.out, resume=resume)
         stack.callback(lease.release)
         state = {} if begins else load_checkpoint(config.run.out, mend=True)

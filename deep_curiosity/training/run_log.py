@@ -37,8 +37,10 @@ class RunLog:
         """Note what the infos of the environments say of the step just taken."""
         if self.first_success_step is None and np.any(info.get("is_success", False)):
             self.first_success_step = self.step
-        for cell in np.ravel(info.get("cell", ())).tolist():
-            self.cells.setdefault(int(cell), self.step)
+        cells = np.ravel(info.get("cell", ()))
+        if cells.dtype.kind in "iu":  # else the word means something else in this task
+            for cell in cells.tolist():
+                self.cells.setdefault(cell, self.step)
 
     def on_learned(self, num_steps: int, seconds: float) -> None:
         """Count environment steps, taken once learning has begun."""

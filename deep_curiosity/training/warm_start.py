@@ -5,15 +5,16 @@ from typing import Any
 from torch import Tensor
 
 from deep_curiosity.training.checkpoint import load_checkpoint
+from deep_curiosity.training.collector import Collector
 from deep_curiosity.training.config import IGNORED, Config
 from deep_curiosity.training.learner import Learner
 from deep_curiosity.training.log import read_values
 
-LEARNED = ("policy.", "critics.", "target_critics.", "prior.", "value_stds")
+LEARNED = ("policy.", "critics.", "target_critics.", "prior.", "value_stds", "curiosity_mean")
 """What of an agent is learned; the rest are settings, optimisers, and what settings start."""
 
 
-def begin_from(config: Config, learner: Learner) -> None:
+def begin_from(config: Config, learner: Learner, collector: Collector) -> None:
     """Give a learner the weights, models and statistics of the run in `init_from`, if one is set.
 
     Optimisers, temperature and hunger start as the settings of this run say.
@@ -21,6 +22,7 @@ def begin_from(config: Config, learner: Learner) -> None:
     Args:
         config: Settings of the run that begins.
         learner: Receives what was learned; it must not have been compiled yet.
+        collector: Receives how large observations usually are.
 
     Raises:
         FileNotFoundError: If the folder holds no run, or no checkpoint that can be read.
@@ -36,12 +38,16 @@ def begin_from(config: Config, learner: Learner) -> None:
             f"`bonus` must be {kind!r}, that of the run in {folder}, to begin from it, got "
             f"{config.bonus.kind!r}."
         )
-    state = load_checkpoint(folder)["learner"]
+    checkpoint = load_checkpoint(folder)
+    state = checkpoint["learner"]
     _check_sizes(_learned(learner.agent.state_dict()), _learned(state["agent"]), config, there)
     learner.agent.load_state_dict(learner.agent.state_dict() | _learned(state["agent"]))
     if learner.bonus is not None:
         _check_sizes(learner.bonus.state_dict(), state["bonus"], config, there)
         learner.bonus.load_state_dict(state["bonus"])
+    usual = checkpoint["collector"].get("usual_observation")
+    if usual is not None:  # of a checkpoint that is older
+        collector.begin_from(usual.numpy())
     if config.run.init_replay:
         _check_num_envs(config, there)
         learner.replay.take_over(state["replay"])

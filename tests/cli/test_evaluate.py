@@ -1,3 +1,4 @@
+import math
 import os
 import subprocess
 import sys
@@ -7,7 +8,9 @@ import numpy as np
 import pytest
 
 from deep_curiosity.cli import main
+from deep_curiosity.cli.evaluate import describe_returns
 from deep_curiosity.training import train
+from deep_curiosity.training.collector import Episode
 
 
 def test_a_conditioned_run_is_played_at_several_hungers(tiny, capsys, refusal):
@@ -18,6 +21,13 @@ def test_a_conditioned_run_is_played_at_several_hungers(tiny, capsys, refusal):
     lines = capsys.readouterr().out.splitlines()
     assert [line.partition(": return")[0].split()[-1] for line in lines] == ["0", "0.5", "1"]
     assert "`hunger` must be at most 1, got 2.0" in refusal("evaluate", folder, "--hunger", 2)
+
+
+def test_episodes_that_broke_do_not_count():
+    episodes = [Episode(value, 5, math.nan, math.isnan(value)) for value in (1.0, math.nan, 3.0)]
+    assert describe_returns(episodes) == "return 2.00 +- 1.41 (1 of 3 episodes broke off)"
+    assert describe_returns(episodes[:1]) == "return 1.00 +- 0.00"
+    assert describe_returns(episodes[1:2]) == "return unknown (1 of 1 episodes broke off)"
 
 
 def test_a_video_is_written_where_something_renders(tiny, tmp_path):

@@ -366,3 +366,36 @@ def test_a_state_that_is_older_than_the_cuts_is_taken():
     restored.load_state_dict(state)
     assert np.array_equal(collector.observation, restored.observation)
     assert np.array_equal(steps(collector, 1)[0][0].reward, steps(restored, 1)[0][0].reward)
+
+
+def test_what_a_task_begins_with_is_usual():
+    collector = Collector(Counter(truncate_at=9, drift=5_000.0), seed=0)
+    assert collector.observation > 5_000
+    for step, _ in steps(collector, 30):
+        assert step.observation > 5_000
+
+
+class Jumps(Counter):
+    """Is far from where it began right after the first step."""
+
+    def _observation(self):
+        return np.array([500.0 if self.count else 0.0], np.float32)
+
+
+@pytest.mark.filterwarnings("ignore:`observation` should stay within")
+def test_a_policy_is_evaluated_on_what_it_was_shown_in_training():
+    def shown(**options):
+        seen = []
+
+        def act(observation, info):
+            seen.append(observation.item())
+            return torch.zeros(1, 1)
+
+        evaluate(act, Jumps(truncate_at=3), episodes=2, seed=0, **options)
+        return seen
+
+    collector = Collector(Jumps(truncate_at=100), seed=0)
+    steps(collector, 400)
+    assert collector.observation == 0 and collector._raw_observation == 0
+    assert shown(usual_observation=collector.usual_observation) == [0.0, 500.0, 500.0] * 2
+    assert max(shown()) < 500  # where nothing is known of the task

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from deep_curiosity.training.outliers import FACTOR, UsualSize, usual_observation
+from deep_curiosity.training.outliers import FACTOR, UsualSize, usual_size
 
 
 def rows(*values):
@@ -56,4 +56,4 @@ def test_one_absurd_number_in_a_hundred_never_comes_to_be_usual():
 def test_a_space_says_what_is_usual_unless_it_allows_everything():
     low = np.array([-1.0, -500.0, -np.inf, -3e38, 0.0], np.float32)
     high = np.array([1.0, 100.0, np.inf, 3e38, 0.0], np.float32)
-    assert usual_observation(low, high).tolist() == [1.0, 5.0, 1.0, 1.0, 1.0]
+    assert usual_size(low, high).tolist() == [1.0, 5.0, 1.0, 1.0, 1.0]

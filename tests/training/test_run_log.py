@@ -46,6 +46,14 @@ def test_a_cell_is_noted_when_it_is_first_visited():
     assert log.coverage(None) is None
 
 
+@pytest.mark.parametrize("cell", ["kitchen", None, 0.5, [None]])
+def test_what_another_task_calls_a_cell_is_left_alone(cell):
+    log = RunLog()
+    log.on_step({"cell": np.array(cell)})
+    log.on_step({"cell": cell})
+    assert log.cells == {}
+
+
 def test_speed_is_counted_while_learning():
     log = RunLog()
     assert math.isnan(log.steps_per_second)
