@@ -215,7 +215,7 @@ def _convert(option: Any, value: Any) -> Any:
     if option is Path and isinstance(value, str):
         if not value:
             raise ValueError("a path must have characters, got ''.")
-        return Path(value)
+        return Path(value).expanduser()
     if isinstance(value, str) and hasattr(option, "parse"):
         return option.parse(value)
     return None

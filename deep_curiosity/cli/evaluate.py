@@ -56,9 +56,10 @@ def main(arguments: Sequence[str]) -> int:
     args = read_arguments(Args, arguments, description=__doc__, prog="deep-curiosity evaluate")
     config = read_config(args.folder)
     environment = make_environment(config.environment)
-    usual = load_usual_observation(args.folder)
+    usual = None
     for hunger in args.hunger or (None,):
         act = load_policy(args.folder, config, environment, hunger=hunger)
+        usual = load_usual_observation(args.folder) if usual is None else usual
         episodes = evaluate(
             act, environment, episodes=args.episodes, seed=args.seed, usual_observation=usual
         )

@@ -17,6 +17,8 @@ from deep_curiosity.training.log import CONFIG, write_json
 from deep_curiosity.training.spaces import SPACES
 
 Format = Literal["onnx", "torch", "safetensors"]
+FORMATS: dict[str, Format] = {".onnx": "onnx", ".pt2": "torch"}
+"""By the ending of a file; a folder is of safetensors."""
 OPSET = 18  # the lowest that torch's exporter writes without converting
 OF_A_MACHINE = ("out", "device", "init_from", "init_replay", "threads", "matmul_precision")
 """Settings that mean nothing where the files are read."""
@@ -56,7 +58,8 @@ class Actor(nn.Module):
         for layer in self.layers[:-1]:
             value = torch.relu(layer(value))
         action = torch.tanh(self._centre(self.layers[-1](value)))
-        return self.low + (self.high - self.low) * (action + 1) / 2
+        rescaled = self.low + (self.high - self.low) * (action + 1) / 2
+        return torch.minimum(torch.maximum(rescaled, self.low), self.high)
 
     def _centre(self, output: Tensor) -> Tensor:
         """Mean of the weightiest component."""
@@ -102,8 +105,8 @@ def export(
         ImportError: If what the format needs is missing.
         ValueError: If the format is unknown, or the run has no curious policy of its own.
     """
-    out = Path(out)
-    chosen = format or {".onnx": "onnx", ".pt2": "torch"}.get(out.suffix, "safetensors")
+    out = Path(out).expanduser()
+    chosen = format or _format_of(out)
     if chosen not in get_args(Format):
         raise ValueError(f"`format` must be one of {', '.join(get_args(Format))}, got {chosen!r}.")
     if out.exists():
@@ -123,6 +126,19 @@ def export(
     else:
         _write_program(Actor(policy, curious=curious).eval(), _example(policy), out)
     return out
+
+
+def _format_of(out: Path) -> Format:
+    """Format that the ending of a name stands for; a folder has none, or a number as in v1.2."""
+    ending = out.suffix.lower()
+    if ending in FORMATS:
+        return FORMATS[ending]
+    if ending[1:2].isalpha():
+        raise ValueError(
+            f"`out` must end in {' or '.join(FORMATS)}, or name a folder without an ending, got "
+            f"{out}; or say which `format`."
+        )
+    return "safetensors"
 
 
 def _linear(weight: Tensor, bias: Tensor) -> nn.Linear:

@@ -179,6 +179,7 @@ def make_policy(trained: Trained) -> GaussianPolicy:
         hidden_dims=[weight.shape[-1] for weight in weights[:-1]],
     )
     policy.load_state_dict(trained.policy)
+    policy.float()  # whatever the default is here
     return policy.eval().requires_grad_(False)
 
 

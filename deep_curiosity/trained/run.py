@@ -114,4 +114,4 @@ def continue_run(
         make_env=make_env,
         show_progress=show_progress,
     )
-    return TrainedRun(Path(folder), summary)
+    return TrainedRun(Path(folder).expanduser(), summary)

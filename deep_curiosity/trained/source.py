@@ -41,7 +41,7 @@ def read_trained(folder: str | Path) -> Trained:
         ImportError: If a folder that was exported is to be read, and safetensors is missing.
         ValueError: If its settings are none.
     """
-    folder = Path(folder)
+    folder = Path(folder).expanduser()
     # where and how it was trained matters no more: the GPU may not be here
     values = read_values(folder) | {"device": "cpu", "out": str(folder)}
     config = Config.from_json(_with_younger(values), source=str(folder / CONFIG))

@@ -31,11 +31,17 @@ class _Hashed:
     def __init__(self, file: BinaryIO) -> None:
         self._file = file
         self._hash = hashlib.sha256()
+        self.error: OSError | None = None
+        """Why something could not be written, which torch does not say."""
 
     def write(self, content: bytes | memoryview) -> int:
         """Write and hash."""
         self._hash.update(content)
-        return self._file.write(content)
+        try:
+            return self._file.write(content)
+        except OSError as error:
+            self.error = error
+            raise
 
     def flush(self) -> None:
         """Flush, as torch asks for."""
@@ -65,6 +71,7 @@ def save_checkpoint(
     for orphan in folder.glob(f"{NEWEST}.*.partial"):  # of a process that was killed
         orphan.unlink(missing_ok=True)
     partial = folder / f"{NEWEST}.{secrets.token_hex(4)}.partial"
+    hashed = None
     try:
         with partial.open("wb") as file:
             hashed = _Hashed(file)
@@ -75,7 +82,8 @@ def save_checkpoint(
         partial.unlink(missing_ok=True)
         if isinstance(error, LeaseError):
             raise
-        raise OSError(f"the checkpoint in {folder} could not be written: {error}") from error
+        reason = error if hashed is None or hashed.error is None else hashed.error
+        raise OSError(f"the checkpoint in {folder} could not be written: {reason}") from error
     newest = folder / NEWEST
     with suppress(FileNotFoundError):
         newest.replace(folder / PREVIOUS)

@@ -336,8 +336,9 @@ def _entry_of(info: Info, name: str) -> np.ndarray:
 def _check_repeated(observation: np.ndarray, expected: np.ndarray, num_steps: int) -> None:
     if not np.array_equal(observation, expected):
         raise RuntimeError(
-            "the environment must repeat an episode from its seed and actions to be resumed; "
-            f"after {num_steps} steps it gave {observation.tolist()}, before {expected.tolist()}."
+            "`env_id` must name a task that repeats an episode from its seed and actions, to be "
+            f"resumed; after {num_steps} steps it gave {observation.tolist()}, before "
+            f"{expected.tolist()}."
         )
 
 

@@ -125,7 +125,7 @@ def parse(
 def _read_own(folder: str) -> Config:
     """Settings of the run that is to be continued."""
     check_folder("resume", Path(folder))
-    return read_config(Path(folder))
+    return read_config(Path(folder), "resume")
 
 
 def read_file(path: Path) -> dict[str, Any]:
@@ -137,8 +137,9 @@ def read_file(path: Path) -> dict[str, Any]:
     """
     try:
         values = json.loads(path.read_text())
-    except ValueError as error:
-        raise ValueError(f"`settings` must name a JSON file, got {path}: {error}.") from error
+    except (OSError, ValueError) as error:
+        kind = type(error) if isinstance(error, FileNotFoundError) else ValueError
+        raise kind(f"`settings` must name a JSON file, got {path}: {error}.") from error
     if not isinstance(values, dict):
         raise ValueError(f"`settings` must name a file of names and values, got {path}.")
     return {name: value for name, value in values.items() if name not in IGNORED}

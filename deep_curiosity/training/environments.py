@@ -26,6 +26,7 @@ from gymnasium.wrappers import (
     FlattenObservation,
     RescaleAction,
     TimeLimit,
+    TransformAction,
 )
 
 import deep_curiosity_envs
@@ -140,7 +141,12 @@ def _make(
     environment = VectorObservation(environment)
     if config.action_repeat > 1:
         environment = ActionRepeat(environment, config.action_repeat)
-    low, high = np.array([-1.0, 1.0], environment.action_space.dtype)
+    box = environment.action_space
+    assert isinstance(box, spaces.Box)
+    environment = TransformAction(  # what rounding has put past an end of the box
+        environment, lambda action: np.clip(action, box.low, box.high).astype(box.dtype), box
+    )
+    low, high = np.array([-1.0, 1.0], box.dtype)
     environment = RescaleAction(environment, low, high)
     return environment if config.frame_stack == 1 else FrameStack(environment, config.frame_stack)
 
@@ -290,7 +296,7 @@ def check_spaces(observation_space: spaces.Space, action_space: spaces.Space) ->
             f"{action_space}."
         )
     assert isinstance(action_space, spaces.Box)
-    size = np.maximum(np.abs(action_space.low), np.abs(action_space.high))
+    size = np.maximum(np.abs(action_space.low), np.abs(action_space.high)).astype(float)
     if not (size <= MAX_ACTION).all():
         raise ValueError(
             f"`action_space` must be bounded on both sides, by at most {MAX_ACTION:g}, got "

@@ -57,6 +57,8 @@ class Learner:
         self.hindsight = hindsight
         self.device = torch.device(config.speed.device)
         self.hunger_controller = make_hunger_controller(config, observation_dim, hunger)
+        self.has_hunger_function = hunger is not None
+        """Whether the hunger is a function of the caller's own, which no checkpoint holds."""
         self.agent = make_agent(config, observation_dim, action_dim).to(self.device)
         self.bonus = make_run_bonus(
             config, observation_dim, action_dim, None if hindsight is None else hindsight.spaces
@@ -269,6 +271,7 @@ class Learner:
             "noise": {} if self.noise is None else self.noise.state_dict(),
             "hunger": self.hunger_controller.state_dict(),
             "greedy_stretches": self.greedy_stretches.state_dict(),
+            "has_hunger_function": self.has_hunger_function,
             "replay": self.replay.state_dict(),
             "random": self._random_state(),
         }

@@ -67,19 +67,23 @@ def check_unused(folder: Path) -> None:
         )
 
 
-def read_config(folder: Path) -> Config:
-    """Settings of the run in a folder.
+def read_config(folder: Path, name: str = "folder") -> Config:
+    """Settings of the run in a folder; arguments as of `read_values`.
 
     Raises:
         FileNotFoundError: If the folder holds no run.
         ValueError: If they are none, naming the file and the setting.
     """
-    values = read_values(folder)
+    values = read_values(folder, name)
     return Config.from_json(values | {"out": str(folder)}, source=str(folder / CONFIG))
 
 
-def read_values(folder: Path) -> dict[str, Any]:
+def read_values(folder: Path, name: str = "folder") -> dict[str, Any]:
     """Settings of the run in a folder, as they are written; younger ones as if they were.
+
+    Args:
+        folder: Of the run.
+        name: Of the argument that was given the folder, for errors.
 
     Raises:
         FileNotFoundError: If the folder holds no run.
@@ -87,7 +91,9 @@ def read_values(folder: Path) -> dict[str, Any]:
     """
     path = folder / CONFIG
     if not path.exists():
-        raise FileNotFoundError(f"a run must have a {CONFIG}, got {folder}, which has none.")
+        raise FileNotFoundError(
+            f"`{name}` must be the folder of a run, which has a {CONFIG}, got {folder}."
+        )
     try:
         values = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_once_each)
         if not isinstance(values, dict):

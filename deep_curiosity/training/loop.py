@@ -174,7 +174,7 @@ def continue_run(
     Args:
         folder: Of the run.
         total_steps: Environment steps, those already taken included; as before when `None`.
-        hunger: As in `train`.
+        hunger: As in `train`; given again where the run had one.
         make_env: As in `train`.
         on_evaluation: As in `train`.
         on_log: As in `train`.
@@ -193,7 +193,7 @@ def continue_run(
     """
     if total_steps is not None:
         settings["total_steps"] = total_steps
-    config = read_config(Path(folder)).override(**settings)
+    config = read_config(Path(folder).expanduser()).override(**settings)
     return train(
         config,
         resume=True,

@@ -5,6 +5,7 @@ from deep_curiosity.requirements import require_training
 
 require_training()
 
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -34,8 +35,14 @@ def load_agent(folder: Path, config: Config, environment: gymnasium.Env) -> Curi
         DivergedError: If its policy is not finite.
         FileNotFoundError: If the folder holds no readable checkpoint.
     """
+    return _agent_of(load_checkpoint(folder), folder, config, environment)
+
+
+def _agent_of(
+    state: dict[str, Any], folder: Path, config: Config, environment: gymnasium.Env
+) -> CuriousSAC:
     agent = make_agent(config, observation_dim(environment), action_dim(environment))
-    agent.load_state_dict(load_checkpoint(folder)["learner"]["agent"])
+    agent.load_state_dict(state["learner"]["agent"])
     broken = broken_weight(policy=agent.policy)
     if broken is not None:
         raise DivergedError(f"{broken}, in the checkpoint in {folder}: the run has diverged.")
@@ -69,8 +76,15 @@ def load_policy(
         FileNotFoundError: If the folder holds no readable checkpoint.
         ValueError: If a hunger is given to an agent that is not conditioned on it.
     """
-    agent = load_agent(folder, config, environment)
+    state = load_checkpoint(folder)
+    agent = _agent_of(state, folder, config, environment)
     if hunger is None:
+        if state["learner"].get("has_hunger_function"):
+            warnings.warn(
+                f"`hunger` was a function of the caller's own in the run in {folder}; it is "
+                f"played at {config.agent.hunger}.",
+                stacklevel=2,
+            )
         return make_evaluation_policy(agent, make_hunger_controller(config, agent.observation_dim))
     if not isinstance(config.agent.hunger, ConditionedHunger):
         raise ValueError(

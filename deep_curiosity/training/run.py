@@ -383,6 +383,11 @@ def open_run(
         ValueError: If the environment is not one the agent can take, or a run is to be continued
             with other settings than its own.
     """
+    if torch.get_default_dtype() is not torch.float32:
+        raise ValueError(
+            "`torch.set_default_dtype` must be left at torch.float32 where a run trains, got "
+            f"{torch.get_default_dtype()}."
+        )
     config = with_make_env(config, make_env)
     if resume:
         own = read_config(config.run.out)
@@ -407,6 +412,8 @@ def open_run(
         lease = _hold_folder(config.run.out, resume=resume)
         stack.callback(lease.release)
         state = {} if begins else load_checkpoint(config.run.out, mend=True)
+        if state:
+            _check_hunger(state["learner"], hunger, config.run.out)
         if resume:
             _check_remaining(config, own, state["run_log"]["step"] if state else 0)
             _print_changes(config, own)
@@ -468,6 +475,22 @@ def make_collector(config: Config, make_env: MakeEnv | None = None) -> Collector
     """Collector of a run, with its environment."""
     make = make_environment if config.environment.num_envs == 1 else make_vector_environment
     return Collector(make(config.environment, **_own(make_env)), config.run.seed)
+
+
+def _check_hunger(learner: dict[str, Any], hunger: HungerFunction | None, folder: Path) -> None:
+    """Refuse to go on without the function that has set the hunger so far, or with one since."""
+    had = learner.get("has_hunger_function")  # of a checkpoint that is older: unknown
+    if had is True and hunger is None:
+        raise ValueError(
+            "`hunger` must be given again, since a function of the caller has set that of the "
+            f"run in {folder}: it goes on by deep_curiosity.continue_run(folder, hunger=...), got "
+            "None."
+        )
+    if had is False and hunger is not None:
+        raise ValueError(
+            f"`hunger` must be left out, since no function has set that of the run in {folder}, "
+            f"got {hunger!r}."
+        )
 
 
 def _check_remaining(config: Config, own: Config, taken: int) -> None:

@@ -89,9 +89,18 @@ class TaskSpaces:
 
 
 def read_spaces(folder: Path) -> TaskSpaces | None:
-    """Spaces of the run in a folder; `None` for a run that did not write them down."""
+    """Spaces of the run in a folder; `None` for a run that did not write them down.
+
+    Raises:
+        ValueError: If the file is damaged.
+    """
     path = folder / SPACES
-    return TaskSpaces.from_json(json.loads(path.read_text())) if path.exists() else None
+    if not path.exists():
+        return None
+    try:
+        return TaskSpaces.from_json(json.loads(path.read_text()))
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(f"`{SPACES}` must hold spaces in JSON, got {path}: {error}.") from error
 
 
 def _vector(observation: Any, entry: Entry) -> NDArray[np.float32]:

@@ -31,7 +31,7 @@ def begin_from(config: Config, learner: Learner, collector: Collector) -> None:
     folder = config.run.init_from
     if folder is None:
         return
-    there = read_values(folder)
+    there = read_values(folder, "init_from")
     kind = there.get("bonus")
     if kind != config.bonus.kind:
         raise ValueError(

@@ -6,6 +6,8 @@ import pytest
 import torch
 
 import deep_curiosity as dc
+from deep_curiosity.trained.export import Actor
+from deep_curiosity.training.config import Config
 from deep_curiosity.training.windows import window_dim
 
 pytest.importorskip("safetensors")
@@ -111,6 +113,37 @@ def test_the_format_may_be_named(run_of, tmp_path):
     path = dc.export(run_of(), tmp_path / "policy.bin", format="torch")
     action = run_torch(path, {"observation": OBSERVATIONS})
     np.testing.assert_allclose(action, dc.load(run_of()).predict(OBSERVATIONS)[0], atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ["policy.pt", "policy.safetensors", "policy.bin"])
+def test_an_ending_that_says_nothing_is_refused(run_of, tmp_path, name):
+    with pytest.raises(ValueError, match=r"`out` must end in \.onnx or \.pt2, or name a folder"):
+        dc.export(run_of(), tmp_path / name)
+    assert not list(tmp_path.iterdir())
+
+
+def test_an_ending_may_be_written_large_and_a_folder_have_a_number(run_of, tmp_path):
+    assert dc.export(run_of(), tmp_path / "policy.PT2").is_file()
+    assert dc.export(run_of(), tmp_path / "v1.2").is_dir()
+
+
+def test_actions_of_a_file_lie_in_the_box_of_the_task(run_of):
+    actor = Actor(dc.load(run_of()))
+    low, high = torch.tensor([-0.7, -0.7]), torch.tensor([1.3, 2.7])
+    actor.low, actor.high = low, high
+    for sign in (-1e3, 1e3):
+        with torch.no_grad():
+            actor.layers[-1].bias.fill_(sign)
+        action = actor(torch.zeros(4, 3))
+        assert (action >= low).all() and (action <= high).all()
+
+
+def test_a_home_folder_is_understood(run_of, tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.setenv("USERPROFILE", str(tmp_path))
+    assert dc.export(run_of(), "~/policy") == tmp_path / "policy"
+    assert dc.load("~/policy").predict(OBSERVATIONS)[0].shape == (5, 2)
+    assert Config.of(out="~/run").run.out == tmp_path / "run"
 
 
 def test_what_cannot_be_written_is_refused(run_of, tmp_path):

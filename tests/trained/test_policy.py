@@ -191,7 +191,7 @@ def test_a_run_is_loaded_that_is_older_than_a_setting(run_of, tmp_path):
 
 
 def test_a_folder_without_a_run_is_named(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"a run must have a config.json, got "):
+    with pytest.raises(FileNotFoundError, match=r"`folder` must be the folder of a run, "):
         dc.load(tmp_path)
 
 

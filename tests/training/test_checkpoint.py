@@ -1,5 +1,7 @@
+import io
 import random
 import warnings
+from pathlib import Path
 
 import pytest
 import torch
@@ -111,8 +113,18 @@ def test_a_full_disk_costs_no_checkpoint(tmp_path, monkeypatch, error):
         raise error
 
     monkeypatch.setattr(checkpoint.torch, "save", full)
-    with pytest.raises(OSError, match="could not be written"):
+    with pytest.raises(OSError, match=f"could not be written: .*{error.args[-1]}"):
         save_checkpoint(tmp_path, {"step": 2})
     monkeypatch.undo()
     assert load_checkpoint(tmp_path)["step"] == 1
     assert [path.name for path in tmp_path.iterdir()] == [NEWEST]
+
+
+def test_it_is_told_why_a_checkpoint_could_not_be_written(tmp_path, monkeypatch):
+    class Full(io.BytesIO):
+        def write(self, content):
+            raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "open", lambda path, mode: Full())
+    with pytest.raises(OSError, match=r"could not be written: .*No space left on device"):
+        save_checkpoint(tmp_path, {"step": 1, "weights": torch.zeros(9)})

@@ -280,7 +280,7 @@ def test_a_continued_run_is_refused_other_settings_by_name(run, arguments, messa
 
 
 def test_a_folder_without_a_run_is_named():
-    with pytest.raises(FileNotFoundError, match=r"a run must have a config.json, got no/such"):
+    with pytest.raises(FileNotFoundError, match=r"`resume` must be the folder .*got no/such"):
         read("--resume", Path("no/such"))
 
 

@@ -264,6 +264,19 @@ def test_whole_numbers_are_observed_as_real_ones(dtype, frame_stack):
         assert observation[-5:-2].tolist() == action.tolist()
 
 
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])
+@pytest.mark.parametrize("high", [1.3, 2.7, 0.1])
+def test_an_action_lies_in_the_box_of_the_task_and_has_its_type(dtype, high):
+    space = spaces.Box(-0.7, high, (3,), dtype)
+    environment = made(action_space=space)
+    environment.reset(seed=0)
+    for value in (-1.0, 1.0, 0.999_999_9):
+        environment.step(np.full(3, value, np.float32))
+    for action in environment.unwrapped.taken:
+        assert space.contains(action)
+        assert action.dtype == dtype
+
+
 @pytest.mark.parametrize("frame_stack", [1, 3])
 @pytest.mark.parametrize("vectorization", ["sync", "async"])
 def test_what_an_environment_changes_in_place_stays_as_it_was(vectorization, frame_stack):

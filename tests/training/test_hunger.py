@@ -142,6 +142,26 @@ def test_hunger_is_set_by_one_alone(tiny):
     assert not tiny.run.out.exists()
 
 
+def test_a_run_goes_on_with_the_function_that_it_had(tiny, tmp_path):
+    def hungry(observation, info):
+        return 0.25
+
+    with_one, without = (tiny.override(out=tmp_path / name) for name in ("with", "without"))
+    train(with_one, hunger=hungry, show_progress=False)
+    train(without, show_progress=False)
+    more = tiny.run.total_steps + 20
+    with pytest.raises(ValueError, match="`hunger` must be given again, since a function of the"):
+        continue_run(with_one.run.out, total_steps=more, show_progress=False)
+    with pytest.raises(ValueError, match="`hunger` must be left out, since no function has set"):
+        continue_run(without.run.out, total_steps=more, hunger=hungry, show_progress=False)
+    continue_run(with_one.run.out, total_steps=more, hunger=hungry, show_progress=False)
+    logged = [row["agent/hunger"] for row in read_progress(with_one.run.out)]
+    assert set(map(float, logged)) == {0.25}
+    environment = make_environment(tiny.environment)
+    with pytest.warns(UserWarning, match="`hunger` was a function of the caller's own .* at 1.0"):
+        load_policy(with_one.run.out, with_one, environment)
+
+
 def test_a_function_is_not_bounded_where_the_agent_is_not_conditioned():
     controller = FunctionHunger(lambda observation, info: 7.0, math.inf)
     assert controller.hunger(0, NOTHING, {}).tolist() == [7.0]

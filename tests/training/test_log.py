@@ -37,7 +37,7 @@ def test_a_folder_that_holds_a_run_is_not_opened_again(tmp_path):
 
 
 def test_a_folder_without_settings_or_with_others_is_named(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"a run must have a config\.json, got .*none"):
+    with pytest.raises(FileNotFoundError, match=r"`folder` must be .* has a config\.json, got"):
         read_config(tmp_path)
     write_json(tmp_path / CONFIG, {"history": 3})
     with pytest.raises(ValueError, match=r"config\.json: `history` is no setting here"):

@@ -172,3 +172,13 @@ def test_fifty_runs_in_a_process_hold_no_more_memory_than_ten(tmp_path):
     resident = [int(kilobytes) for _, _, kilobytes in lines]
     assert len(resident) == 50
     assert resident[49] < 1.1 * resident[9], resident
+
+
+def test_another_default_of_torch_is_refused_by_name(tiny):
+    torch.set_default_dtype(torch.float64)
+    try:
+        with pytest.raises(ValueError, match=r"`torch\.set_default_dtype` must be left at .*64"):
+            train(tiny, show_progress=False)
+    finally:
+        torch.set_default_dtype(torch.float32)
+    assert not tiny.run.out.exists()

@@ -99,3 +99,10 @@ def test_places_are_those_of_the_flattened_entries():
     assert REACH.places("goal") == (0, 1)
     assert REACH.places("robot") == (2, 3, 4)
     assert REACH.places("reward") == ()
+
+
+@pytest.mark.parametrize("text", ["{", "[]", '{"entries": []}'])
+def test_a_damaged_file_is_named(tmp_path, text):
+    (tmp_path / SPACES).write_text(text)
+    with pytest.raises(ValueError, match=f"`{SPACES}` must hold spaces in JSON, got {tmp_path}"):
+        read_spaces(tmp_path)

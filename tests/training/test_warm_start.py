@@ -130,7 +130,7 @@ def test_a_run_that_does_not_fit_is_refused_before_anything_is_written(
 
 def test_a_run_must_be_there(tiny, tmp_path):
     with (
-        pytest.raises(FileNotFoundError, match=r"a run must have a config.json, got .*nowhere"),
+        pytest.raises(FileNotFoundError, match=r"`init_from` must be the folder .*nowhere"),
         open_run(tiny.override(init_from=tmp_path / "nowhere")),
     ):
         pass

@@ -74,7 +74,7 @@ def profile(environment: gymnasium.Env, *, num_steps: int = 2_000, seed: int = 0
             num_episodes += 1
             environment.reset()
     if not observations:
-        raise ValueError(f"observations must be finite, got none in {num_steps} steps.")
+        raise ValueError(f"`observation` must be finite, got none that is in {num_steps} steps.")
     return Profile(
         np.stack(observations), num_episodes, num_not_finite, (min(rewards), max(rewards))
     )
