@@ -9,6 +9,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import takewhile
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,6 +17,8 @@ import tyro
 from tyro.constructors import ConstructorRegistry, PrimitiveConstructorSpec, PrimitiveTypeInfo
 
 Args = TypeVar("Args")
+OF_KEYS = ("--env-kwargs", "--bonus-parts")
+"""Options that take keys and values in turn."""
 
 
 def read_arguments(
@@ -40,6 +43,7 @@ def read_arguments(
     """
     given = list(sys.argv[1:] if arguments is None else arguments)
     _refuse_repeated(given)
+    _refuse_repeated_keys(given)
     return tyro.cli(what, args=given, description=description, prog=prog, registry=REGISTRY)
 
 
@@ -81,6 +85,17 @@ def _refuse_repeated(arguments: Sequence[str]) -> None:
         if count > 1:
             name = flag.replace("-", "_")
             raise ValueError(f"`{name}` must be given once, got --{flag} {count} times.")
+
+
+def _refuse_repeated_keys(arguments: Sequence[str]) -> None:
+    """Refuse a key that is given twice to an option of keys and values."""
+    for start, flag in enumerate(arguments):
+        if flag.replace("_", "-") in OF_KEYS:
+            words = [*takewhile(lambda word: word[:2] != "--", arguments[start + 1 :])]
+            twice = [key for key, count in Counter(words[::2]).items() if count > 1]
+            if twice:
+                name = flag.removeprefix("--").replace("-", "_")
+                raise ValueError(f"`{name}` must have every key once, got {twice[0]!r} twice.")
 
 
 def _read_word(kind: Callable[[str], Any], rule: str, words: list[str]) -> Any:

@@ -228,6 +228,7 @@ def test_a_continued_run_stays_in_its_folder(run, tmp_path):
     [
         (["--seed", 1, "--seed", 2], "`seed` must be given once, got --seed 2 times"),
         (["--bonus", "rnd", "--bonus=icm"], "`bonus` must be given once"),
+        (["--env-kwargs", "g", 9, "g", 5], "`env_kwargs` must have every key once, got 'g' twice"),
         (["--hidden_dim", 8, "--hidden-dim", 8], "`hidden_dim` must be given once"),
         (["--direct-matmul", "--no-direct-matmul"], "`direct_matmul` must be given once"),
     ],
