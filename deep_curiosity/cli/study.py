@@ -15,14 +15,9 @@ import tyro
 from deep_curiosity.arguments import check_file, check_folder, read_arguments
 from deep_curiosity.configuration import setting
 from deep_curiosity.experiments.engines import EngineArgs, make_engine
-from deep_curiosity.experiments.grid import (
-    ENDINGS,
-    output_path,
-    overridden,
-    part_of,
-    run_study,
-)
+from deep_curiosity.experiments.grid import ENDINGS, overridden, part_of, run_study
 from deep_curiosity.experiments.studies import find_study
+from deep_curiosity.experiments.tables import output_path
 from deep_curiosity.training.command_line import read_settings
 
 
@@ -52,12 +47,19 @@ class Args(EngineArgs):
         super().__post_init__()
         check_folder("runs", self.runs)
         if self.out is not None:
-            if self.out.suffix in ENDINGS or self.out.name in ("", ".."):
-                raise ValueError(
-                    f"`out` must be a path of a file without its suffix, got {self.out}."
-                )
-            for ending in ENDINGS:
-                check_file("out", output_path(self.out, ending))
+            check_paths(self.out, ENDINGS)
+
+
+def check_paths(out: Path, endings: Sequence[str]) -> None:
+    """Reject a path without suffix that cannot become files with these.
+
+    Raises:
+        ValueError: Naming the option and the path.
+    """
+    if out.suffix in endings or out.name in ("", ".."):
+        raise ValueError(f"`out` must be a path of a file without its suffix, got {out}.")
+    for ending in endings:
+        check_file("out", output_path(out, ending))
 
 
 def main(arguments: Sequence[str]) -> int:

@@ -12,10 +12,13 @@ from typing import Annotated, Literal
 
 import tyro
 
-from deep_curiosity.arguments import read_arguments
+from deep_curiosity.arguments import check_folder, read_arguments
+from deep_curiosity.cli.study import check_paths
 from deep_curiosity.configuration import MOST_SEED, setting
 from deep_curiosity.experiments.engines import EngineArgs, make_engine
+from deep_curiosity.experiments.search import ENDINGS
 from deep_curiosity.experiments.studies import find_search
+from deep_curiosity.experiments.tables import output_path
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,7 +41,13 @@ class Args(EngineArgs):
     storage: str | None = None
     """Of Optuna, as a URL, instead of a SQLite file in the folder of the runs."""
     out: Path | None = None
-    """Path of best settings, table and figure, without suffix; results/NAME by default."""
+    """Path of best settings, table and figure, without suffix; results/NAME by default. Files
+    there that are none of a search are left alone."""
+
+    def __post_init__(self) -> None:
+        """Refuse a folder that cannot be, before anything is run."""
+        super().__post_init__()
+        check_folder("runs", self.runs)
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -47,7 +56,8 @@ def main(arguments: Sequence[str]) -> int:
     name, search = find_search(args.search)
     from deep_curiosity.experiments.tuner import tune  # needs what `find_search` asks for
 
-    out = args.out or Path("results") / name
+    out = Path("results") / name if args.out is None else args.out
+    check_paths(out, ENDINGS)
     tune(
         search,
         trials=args.trials,
@@ -59,5 +69,13 @@ def main(arguments: Sequence[str]) -> int:
         at_once=args.at_once,
         seed=args.seed,
     )
-    print(f"best settings, trials and picture in {out}.json, .csv and .png")
+    print(what_is_in(out))
     return 0
+
+
+def what_is_in(out: Path) -> str:
+    """The files that a search has written, for its user."""
+    best, table, figure = (output_path(out, ending) for ending in ENDINGS)
+    if not best.exists():
+        return f"no trial was complete; trials in {table}"
+    return f"best settings in {best}, trials in {table}, picture in {figure}"

@@ -2,6 +2,7 @@
 
 import json
 import math
+import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from importlib.resources import files
@@ -13,7 +14,7 @@ from matplotlib.figure import Figure
 from deep_curiosity.experiments.figures import draw_curve, estimate_curve, label_beside
 from deep_curiosity.experiments.study import Row
 from deep_curiosity.training.config import IGNORED
-from deep_curiosity.training.log import CONFIG, read_progress, read_values
+from deep_curiosity.training.log import CONFIG, PROGRESS, parse_progress, read_values
 
 TAGS = (
     "eval/return",
@@ -26,6 +27,8 @@ TAGS = (
 OF_THE_TASK = ("env_id", "env_kwargs")
 OF_NO_AGENT = (*IGNORED, *OF_THE_TASK, "seed", "total_steps", "threads", "device", "compile")
 """Settings in which runs of one agent may differ."""
+OF_EVERY_RUN = ("env_id", "bonus")
+"""Settings without which a config.json is of something else."""
 ASSETS = files("deep_curiosity.experiments") / "assets"
 
 
@@ -64,23 +67,43 @@ def find_runs(paths: Iterable[Path]) -> list[Path]:
 def read_runs(folders: Sequence[Path], group_by: Sequence[str] = ()) -> list[RunCurves]:
     """Read runs, and name the agent of each by the settings that set it apart.
 
+    A folder that holds no run, or one whose progress.csv is damaged, is passed over with a
+    warning; one whose last row is cut off, as it is being written, is read up to there, with a
+    warning. A folder without rows, such as an exported policy, is left out.
+
     Args:
         folders: Of the runs.
         group_by: Settings by which agents are told apart; by default all in which the runs
             differ, but for the seed and where and how long they ran.
 
     Raises:
-        ValueError: If a setting to group by is none of the runs'.
+        ValueError: If a setting to group by is none of the runs', or none has any row.
     """
-    settings = [read_values(folder) for folder in folders]
+    found = {folder: own for folder in folders if (own := _read_run(folder)) is not None}
+    if not found:
+        raise ValueError(f"`runs` must have logged something, got {len(folders)} that have not.")
+    settings = [values for values, _ in found.values()]
     known = {name for values in settings for name in values}
     if unknown := sorted(set(group_by) - known):
         raise ValueError(f"`group_by` must be settings of the runs, got {', '.join(unknown)}.")
     names = group_by or _differing(settings)
     return [
-        RunCurves(folder, _task_of(values), _agent_of(values, names), _numbers(folder))
-        for folder, values in zip(folders, settings, strict=True)
+        RunCurves(folder, _task_of(values), _agent_of(values, names), rows)
+        for folder, (values, rows) in found.items()
     ]
+
+
+def _read_run(folder: Path) -> tuple[dict[str, Any], list[dict[str, float]]] | None:
+    """Settings and rows of a run; `None` where there is none that could be drawn."""
+    try:
+        values = read_values(folder)
+        if missing := [name for name in OF_EVERY_RUN if name not in values]:
+            raise ValueError(f"`{CONFIG}` must be that of a run, got one without {missing[0]}.")
+        rows = _numbers(folder)
+    except (OSError, ValueError) as error:
+        warnings.warn(f"{folder} is passed over: {error}", stacklevel=2)
+        return None
+    return (values, rows) if rows else None
 
 
 def _differing(settings: Sequence[dict[str, Any]]) -> list[str]:
@@ -111,9 +134,15 @@ def _agent_of(values: dict[str, Any], names: Sequence[str]) -> str:
 
 
 def _numbers(folder: Path) -> list[dict[str, float]]:
+    """Rows of progress.csv, but for one at its end that is not whole yet."""
+    path = folder / PROGRESS
+    text = path.read_text(errors="replace") if path.exists() else ""
+    whole, end, torn = text.rpartition("\n")
+    if torn:
+        warnings.warn(f"{path} is read but for its last row, which is cut off.", stacklevel=2)
     return [
         {name: float(value or "nan") for name, value in row.items()}
-        for row in read_progress(folder)
+        for row in parse_progress(whole + end, source=str(path))
     ]
 
 

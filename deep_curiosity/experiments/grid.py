@@ -17,7 +17,14 @@ from deep_curiosity.experiments.progress import Progress
 from deep_curiosity.experiments.runs import find_finished, finished_key, run_own
 from deep_curiosity.experiments.statistics import probability_of_improvement
 from deep_curiosity.experiments.study import Cell, Result, Row, Study
-from deep_curiosity.experiments.tables import markdown_table, summarize, write_table
+from deep_curiosity.experiments.tables import (
+    check_outputs,
+    is_missing,
+    markdown_table,
+    output_path,
+    summarize,
+    write_table,
+)
 from deep_curiosity.experiments.together import (
     complete_agents,
     groups_of,
@@ -32,6 +39,8 @@ CHOSEN = ("out", "seed")
 WRITING_SECONDS = 10.0  # from one writing of the tables to the next, while results come
 MANY_TO_COMPARE = 12  # agents: a table of all pairs would be longer than anyone reads
 
+SOLVED = ("solved", "solved_step")
+"""Columns of every row, whatever a study measures."""
 ENDINGS = (".csv", "_curves.csv", ".md", ".png", "_together.png")
 """Of the files that a study writes: tables, summary, figure."""
 
@@ -123,6 +132,8 @@ def run_study(
 
     Raises:
         FileExistsError: If a file at `out` is none that a study has written.
+        ValueError: If a run that ends has no such column as the study names; it can be read when
+            the study is run again with other columns.
         KeyboardInterrupt: If it is stopped, once what came is written.
     """
     check_out(study, out)
@@ -173,8 +184,13 @@ class Records:
         return len(self._failures)
 
     def add(self, number: int, outcome: Outcome) -> None:
-        """Note how a run ended."""
+        """Note how a run ended.
+
+        Raises:
+            ValueError: If a column of the study is not measured.
+        """
         if not outcome.error:
+            check_columns(self._study, outcome.result)
             self._results[number] = outcome.result
             return
         cell = self._cells[number]
@@ -196,25 +212,28 @@ class Records:
             report(self._study, rows, curves, failures, self._out)
 
 
-def output_path(out: Path, ending: str) -> Path:
-    """Path of one of the files of a study."""
-    return out.with_name(f"{out.name}{ending}")
-
-
 def check_out(study: Study, out: Path) -> None:
     """Refuse to write over files that are none of a study's.
 
     Raises:
         FileExistsError: Naming them.
     """
-    there = [path for end in ENDINGS if (path := output_path(out, end)).exists()]
-    table = output_path(out, ".csv")
-    own = table.is_file() and table.read_text(errors="replace").startswith("task,")
-    if there and not own:
-        raise FileExistsError(
-            "`out` must name new files, or those of a study, which has a table of tasks, got "
-            f"{', '.join(map(str, there))}; choose another path."
-        )
+    owner = "a study, which has a table of tasks"
+    check_outputs(out, ENDINGS, column="task", owner=owner)
+
+
+def check_columns(study: Study, result: Result) -> None:
+    """Refuse columns of a study that a run does not have.
+
+    Raises:
+        ValueError: Naming the first of them, and those that there are.
+    """
+    for row in result.rows:
+        known = [*SOLVED, *row]
+        if unknown := [name for name in study.columns if name not in known]:
+            raise ValueError(
+                f"`columns` must be measured, got {unknown[0]!r}; there are {', '.join(known)}."
+            )
 
 
 def collect(cells: Sequence[Cell], results: dict[int, Result]) -> tuple[list[Row], list[Row]]:
@@ -233,12 +252,16 @@ def collect(cells: Sequence[Cell], results: dict[int, Result]) -> tuple[list[Row
 
 
 def _solved(measured: Row, curve: Sequence[Row], needed: float) -> Row:
-    """Whether a run ends solved, and the step of the first evaluation in which it is."""
-    score = measured.get("evaluation_return", math.nan)
-    if math.isnan(score) or math.isnan(needed):
+    """Whether a run ends solved, and the step of the first evaluation in which it is.
+
+    One that ends without a return, as every episode of its last evaluation broke, is not solved.
+    """
+    if "evaluation_return" not in measured or math.isnan(needed):
         return {"solved": "", "solved_step": None}
+    score = measured["evaluation_return"]
     steps = [point["step"] for point in curve if point["evaluation_return"] >= needed]
-    return {"solved": int(score >= needed), "solved_step": min(steps, default=None)}
+    solved = not is_missing(score) and score >= needed
+    return {"solved": int(solved), "solved_step": min(steps, default=None)}
 
 
 def write_tables(study: Study, rows: list[Row], curves: list[Row], out: Path) -> None:
@@ -274,17 +297,25 @@ def summary_of(study: Study, rows: Sequence[Row]) -> str:
 
 
 def compare(study: Study, rows: Sequence[Row]) -> list[str]:
-    """Markdown: the chance that the first agent beats each of the others, over all tasks."""
+    """Markdown: the chance that the first agent has more of a column than each other has.
+
+    Over all tasks, of the first column. An agent of which a run has no value is left out, as a
+    chance over its other runs would be of those that went well; so are all, if the first is such.
+    """
     first, *others = study.agents
     if not others or len(others) > MANY_TO_COMPARE or study.label != "agent":
         return []
     column = study.columns[0]
     groups = {
-        agent: groups_of(study, rows, agent, column) for agent in complete_agents(study, rows)
+        agent: own
+        for agent in complete_agents(study, rows)
+        for own in [groups_of(study, rows, agent, column)]
+        if not any(is_missing(value) for runs in own for value in runs)
     }
     lines = [
         [str(agent), str(probability_of_improvement(groups[first], groups[agent]))]
         for agent in others
-        if agent in groups
+        if first in groups and agent in groups
     ]
-    return [markdown_table([f"{first} better than", f"probability, by {column}"], lines), ""]
+    header = [f"{first} better than", f"probability, by {column}"]
+    return [markdown_table(header, lines), ""] if lines else []

@@ -179,10 +179,11 @@ def measure_run_and_area(config: Config, summary: "Row") -> list["Row"]:
     return [{"area": _area(config), **row} for row in measure_run(config, summary)]
 
 
-def _area(config: Config) -> float:
+def _area(config: Config) -> float | None:
+    """`None` where no scheduled evaluation has a return."""
     evaluations = [
         value
         for step, value in read_evaluations(config.run.out)
         if step % config.run.evaluation_interval < config.environment.num_envs
     ]
-    return sum(evaluations) / len(evaluations)
+    return sum(evaluations) / len(evaluations) if evaluations else None

@@ -2,10 +2,15 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 from deep_curiosity.configuration import flat
 from deep_curiosity.experiments.study import Task
+from deep_curiosity.experiments.tables import check_outputs
+
+ENDINGS = (".json", ".csv", ".png")
+"""Of the files that a search writes: best settings, table of trials, figure."""
 
 
 @dataclass(frozen=True)
@@ -54,3 +59,13 @@ class Search:
         """A return of a task on the scale of all."""
         low, high = self.ranges[task]
         return (value - low) / (high - low)
+
+
+def check_out(out: Path) -> None:
+    """Refuse to write over files that are none of a search's.
+
+    Raises:
+        FileExistsError: Naming them.
+    """
+    owner = "a search, which has a table of trials"
+    check_outputs(out, ENDINGS, column="trial", owner=owner)

@@ -4,6 +4,7 @@ Reference: Agarwal et al., "Deep Reinforcement Learning at the Edge of the Stati
 (2021), https://arxiv.org/abs/2108.13264; sections 4.1 and 4.3.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
@@ -86,9 +87,27 @@ def probability_of_improvement(first: Groups, second: Groups, *, seed: int = 0) 
 
 
 def rank_correlation(first: Sequence[float | int], second: Sequence[float | int]) -> float:
-    """Spearman's correlation of two sequences without ties."""
-    ranks = np.array([np.argsort(np.argsort(values)) for values in (first, second)])
+    """Spearman's correlation of two sequences; equal values share the mean of their ranks.
+
+    Returns:
+        From -1 to 1; NaN where either holds a NaN, or nothing but equal values.
+
+    Example:
+        >>> round(rank_correlation([1, 2, 3], [0.0, 5.0, 5.0]), 3)
+        0.866
+    """
+    ranks = np.array([_mean_ranks(values) for values in (first, second)])
+    if np.isnan(ranks).any() or (np.ptp(ranks, axis=1) == 0).any():
+        return math.nan
     return float(np.corrcoef(ranks)[0, 1])
+
+
+def _mean_ranks(values: Sequence[float | int]) -> np.ndarray:
+    """Rank of each value from 1; NaN where there is one."""
+    known = np.asarray(values, dtype=float)
+    _, place, counts = np.unique(known, return_inverse=True, return_counts=True)
+    ranks = counts.cumsum() - (counts - 1) / 2
+    return np.where(np.isnan(known), math.nan, ranks[place])
 
 
 def _check_groups(groups: Groups) -> None:

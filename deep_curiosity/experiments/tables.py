@@ -1,6 +1,7 @@
 """Tables of what was measured: rows in CSV files, and summaries of them in Markdown."""
 
 import csv
+import io
 import math
 import statistics as standard
 from collections.abc import Iterable, Mapping, Sequence
@@ -9,18 +10,23 @@ from typing import Any
 
 from deep_curiosity.experiments.statistics import bootstrap, rank_correlation
 from deep_curiosity.experiments.study import Row, Study
+from deep_curiosity.training.log import write_text
 
 
 def write_table(
     path: Path, rows: Sequence[Mapping[str, Any]], columns: Iterable[str] = ()
 ) -> None:
-    """Write rows as CSV, numbers to six digits; a row without a column leaves it empty."""
+    """Write rows as CSV, numbers to six digits; a row without a column leaves it empty.
+
+    What was there stands until the new table is whole, by which its owner is known.
+    """
     names = list(columns) or list(dict.fromkeys(name for row in rows for name in row))
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow(names)
+    writer.writerows([[_short(row.get(name, "")) for name in names] for row in rows])
     path.parent.mkdir(parents=True, exist_ok=True)
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(names)
-        writer.writerows([[_short(row.get(name, "")) for name in names] for row in rows])
+    write_text(path, text.getvalue())
 
 
 def read_table(path: Path) -> list[dict[str, str]]:
@@ -29,6 +35,33 @@ def read_table(path: Path) -> list[dict[str, str]]:
         return []
     with path.open(newline="") as file:
         return [*csv.DictReader(file)]
+
+
+def output_path(out: Path, ending: str) -> Path:
+    """Path of one of several files that have a name in common, which may have a point."""
+    return out.with_name(f"{out.name}{ending}")
+
+
+def check_outputs(out: Path, endings: Iterable[str], *, column: str, owner: str) -> None:
+    """Refuse to write over files, unless a table among them says whose they are.
+
+    Args:
+        out: Path of all files, without ending.
+        endings: Of the files.
+        column: First one of the owner's table.
+        owner: Who may write there, for the message.
+
+    Raises:
+        FileExistsError: Naming the files.
+    """
+    there = [path for end in endings if (path := output_path(out, end)).exists()]
+    table = output_path(out, ".csv")
+    own = table.is_file() and table.read_text(errors="replace").startswith(f"{column},")
+    if there and not own:
+        raise FileExistsError(
+            f"`out` must name new files, or those of {owner}, got "
+            f"{', '.join(map(str, there))}; choose another path."
+        )
 
 
 def check_page(folder: Path, title: str) -> None:
@@ -87,22 +120,35 @@ def summarize(study: Study, rows: Sequence[Row]) -> str:
             if not solved:
                 continue
             counted = "-" if "" in solved else f"{sum(solved)} of {len(solved)}"
-            cells = [_estimate(select(rows, column, **where)) for column in study.columns]
+            cells = [_estimate(column, select(rows, column, **where)) for column in study.columns]
             lines.append([task.name, str(agent), counted, *cells])
     return "\n".join([markdown_table(header, lines) + "\n", *_rank_correlations(study, rows)])
 
 
-def _estimate(values: Sequence[float | None]) -> str:
-    """Interquartile mean with its interval; median and range where a value is missing."""
-    if all(value is None for value in values):
+def is_missing(value: float | None) -> bool:
+    """Whether a run has no number there."""
+    return value is None or math.isnan(value)
+
+
+def _estimate(column: str, values: Sequence[float | None]) -> str:
+    """Interquartile mean with its interval, of the runs that have a value, and how many do.
+
+    Of steps, where one that is missing was never reached, median and range.
+    """
+    known = [float(each) for each in values if each is not None and not is_missing(each)]
+    if not known:
         return ""
-    if any(value is None for value in values):
+    if len(known) < len(values) and column.endswith("step"):
         return median_and_range(values)
-    return str(bootstrap([[float(value) for value in values if value is not None]]))
+    counted = f", {len(known)} of {len(values)} runs" if len(known) < len(values) else ""
+    return f"{bootstrap([known])}{counted}"
 
 
 def _rank_correlations(study: Study, rows: Sequence[Row]) -> list[str]:
-    """Spearman's correlation of each column's medians with what is swept, where it is a number."""
+    """Spearman's correlation of each column's medians with what is swept, where it is a number.
+
+    A column has none where a run has no value, or all medians are equal.
+    """
     numbers = [agent for agent in study.agents if isinstance(agent, int | float)]
     if len(numbers) < 3:
         return []
@@ -113,8 +159,10 @@ def _rank_correlations(study: Study, rows: Sequence[Row]) -> list[str]:
                 select(rows, column, **{"task": task.name, study.label: number})
                 for number in numbers
             ]
-            if all(own) and not any(None in values for values in own):
+            if all(own) and not any(is_missing(value) for values in own for value in values):
                 rank = rank_correlation(numbers, [*map(standard.median, own)])
+                if math.isnan(rank):  # all medians are equal
+                    continue
                 lines.append(
                     f"- {task.name}: rank correlation of {column} with {study.label} {rank:.2f}"
                 )

@@ -89,12 +89,14 @@ def plot_together(path: Path, study: Study, rows: Sequence[Row], curves: Sequenc
         path: Of the figure.
         study: With several tasks, each of which says what counts as solved.
         rows: One of each run.
-        curves: Evaluations of each run.
+        curves: Evaluations of each run; an agent of which a run has none is left out of the first
+            panel.
     """
     figure = Figure(figsize=(11.2, 3.9), layout="constrained")
     over_time, profile = figure.subplots(1, 2)
     agents = complete_agents(study, rows)
-    _draw(over_time, study, SHARES, {agent: _curve(study, curves, agent) for agent in agents})
+    over_steps = [agent for agent in agents if _has_curves(study, rows, curves, agent)]
+    _draw(over_time, study, SHARES, {each: _curve(study, curves, each) for each in over_steps})
     _draw(profile, study, LEVELS, {agent: _profile(study, rows, agent) for agent in agents})
     num_tasks = f"{len(study.tasks)} tasks"
     over_time.set(
@@ -123,6 +125,18 @@ def _draw(
             draw_curve(axes, points.tolist(), estimates[agent], f"C{number}")
             ends[f"{agent}", f"C{number}"] = estimates[agent][-1].value
     label_beside(axes, ends)
+
+
+def _has_curves(
+    study: Study, rows: Sequence[Row], curves: Sequence[Row], agent: str | float
+) -> bool:
+    """Whether every run of an agent has an evaluation, without which its curve says nothing."""
+    tasks = [task.name for task in study.tasks]
+    runs, evaluated = (
+        {(row["task"], row["seed"]) for row in lines if row["agent"] == agent}
+        for lines in (rows, curves)
+    )
+    return all(run in evaluated for run in runs if run[0] in tasks)
 
 
 def _curve(study: Study, curves: Sequence[Row], agent: str | float) -> list[Estimate]:

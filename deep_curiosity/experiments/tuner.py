@@ -21,6 +21,7 @@ from typing import Any, Literal
 import numpy as np
 import optuna
 from optuna.trial import TrialState
+from sqlalchemy.exc import SQLAlchemyError
 
 from deep_curiosity.configuration import flat
 from deep_curiosity.experiments.engines.base import Engine, Job, make_job
@@ -28,9 +29,9 @@ from deep_curiosity.experiments.execution import Ended, Execution
 from deep_curiosity.experiments.figures import plot_search
 from deep_curiosity.experiments.progress import latest_step
 from deep_curiosity.experiments.runs import RunStoppedError, run_once
-from deep_curiosity.experiments.search import Search
+from deep_curiosity.experiments.search import Search, check_out
 from deep_curiosity.experiments.statistics import interquartile_mean
-from deep_curiosity.experiments.tables import write_table
+from deep_curiosity.experiments.tables import output_path, write_table
 from deep_curiosity.training.config import Config
 from deep_curiosity.training.interruption import terminated_like_interrupted
 from deep_curiosity.training.log import write_json
@@ -74,11 +75,13 @@ def tune(
         Optuna's study.
 
     Raises:
-        ValueError: If a number is below 1.
+        FileExistsError: If a file at `out` is none that a search has written.
+        ValueError: If a number is below 1, or `storage` cannot be opened.
     """
     for name, number in (("trials", trials), ("at_once", at_once)):
         if number < 1:
             raise ValueError(f"`{name}` must be at least 1, got {number}.")
+    check_out(out)
     study = open_study(search, runs, storage, pruner)
     with terminated_like_interrupted(), engine:
         while (ended := count_ended(study)) < trials:
@@ -103,11 +106,14 @@ def open_study(
         runs: Folder of the storage where none is given.
         storage: As a URL.
         pruner: Which trials are stopped early.
+
+    Raises:
+        ValueError: If the storage cannot be opened.
     """
     runs.mkdir(parents=True, exist_ok=True)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     study = optuna.create_study(
-        storage=storage or f"sqlite:///{runs / 'trials.db'}",
+        storage=_open_storage(f"sqlite:///{runs / 'trials.db'}" if storage is None else storage),
         study_name=runs.name,
         direction="maximize",
         pruner=_make_pruner(search, pruner),
@@ -117,6 +123,17 @@ def open_study(
     if not study.trials and all(_holds(search.space[name], present[name]) for name in present):
         study.enqueue_trial(present)
     return study
+
+
+def _open_storage(storage: str) -> optuna.storages.RDBStorage:
+    try:
+        return optuna.storages.RDBStorage(storage)
+    except (SQLAlchemyError, ValueError) as error:
+        reason = str(error).partition("\n")[0]
+        raise ValueError(
+            "`storage` must be the URL of a database that can be opened, such as "
+            f"sqlite:///trials.db, got {storage!r}: {reason}."
+        ) from error
 
 
 def _make_pruner(search: Search, pruner: Pruner) -> optuna.pruners.BasePruner:
@@ -244,13 +261,24 @@ class _Trial:
         (self.folder / STOP).touch()
 
     def tell(self, study: optuna.Study) -> None:
-        """Tell Optuna how it ended."""
-        if self.failures:
-            study.tell(self.trial, state=TrialState.FAIL)
-        elif self.pruned:
+        """Tell Optuna how it ended; it has failed where a run is without its last evaluation."""
+        if not self.failures and self.pruned:
             study.tell(self.trial, state=TrialState.PRUNED)
+        elif self.failures or self._lacks_evaluations():
+            study.tell(self.trial, state=TrialState.FAIL)
         else:
             study.tell(self.trial, score_of([curve[-1] for curve in self.curves()]))
+
+    def _lacks_evaluations(self) -> bool:
+        """Whether a run has none at its end, as they were lost or a failed trial was cut off."""
+        lacking = [
+            config.run.out
+            for _, config in self.cells
+            if max(read_evaluations(config.run.out), default=0) < config.run.total_steps
+        ]
+        for folder in lacking:
+            print(f"failed: {folder}: no evaluation at its end is noted", file=sys.stderr)
+        return bool(lacking)
 
 
 def score_of(values: Sequence[float]) -> float:
@@ -322,12 +350,12 @@ def write_search(study: optuna.Study, out: Path) -> None:
         {"trial": each.number, "state": each.state.name.lower(), "score": each.value} | each.params
         for each in trials
     ]
-    write_table(out.with_suffix(".csv"), rows)
+    write_table(output_path(out, ".csv"), rows)
     complete = [each for each in trials if each.state is TrialState.COMPLETE]
     if complete:
-        write_json(out.with_suffix(".json"), study.best_params)
+        write_json(output_path(out, ".json"), study.best_params)
         scores = [math.nan if each.value is None else each.value for each in trials]
-        plot_search(out.with_suffix(".png"), scores, importances(study, len(complete)))
+        plot_search(output_path(out, ".png"), scores, importances(study, len(complete)))
 
 
 def importances(study: optuna.Study, num_complete: int) -> dict[str, float]:

@@ -21,3 +21,18 @@ def test_runs_become_a_picture_and_a_page(tiny, tmp_path, capsys):
 def test_what_cannot_be_drawn_is_answered_in_one_line(arguments, tmp_path, monkeypatch, refusal):
     monkeypatch.chdir(tmp_path)
     assert refusal("plot", *arguments).startswith("error: `runs` must be folders of runs, got ")
+
+
+def test_what_is_no_run_is_passed_over_and_a_run_that_is_written_is_drawn(tiny, tmp_path, capsys):
+    train(tiny, show_progress=False)
+    with (tiny.run.out / "progress.csv").open("a") as file:
+        file.write("80,1")
+    (tmp_path / "other").mkdir()
+    (tmp_path / "other" / "config.json").write_text("{}")
+    (tmp_path / "exported").mkdir()
+    for name in ("config.json", "spaces.json"):
+        (tmp_path / "exported" / name).write_bytes((tiny.run.out / name).read_bytes())
+    with pytest.warns(UserWarning) as warned:
+        assert main(["plot", str(tmp_path), "--out", str(tmp_path / "curves")]) == 0
+    assert capsys.readouterr().out.startswith("1 runs in ")
+    assert len(warned) == 2

@@ -38,7 +38,7 @@ def test_train_resume_and_evaluate(tmp_path):
         (["--env-id", "CartPole-v1"], "error: `action_space` must be a Box"),
         (["--env-id", "NoSuchTask-v0"], "error: `env_id` must be a registered id"),
         (["--num-members", "1"], "error: `num_members` must be at least 2"),
-        (["--resume", "no/such/folder"], "error: a run must have a config.json"),
+        (["--resume", "no/such/folder"], "error: `resume` must be the folder of a run"),
     ],
     ids=str,
 )

@@ -148,3 +148,38 @@ def png_size(path):
     header = path.read_bytes()
     assert header[1:4] == b"PNG"
     return int.from_bytes(header[16:20], "big"), int.from_bytes(header[20:24], "big")
+
+
+def test_a_run_whose_last_row_is_cut_off_is_read_up_to_there(folder):
+    run = folder / "PointMaze-none-0"
+    with (run / "progress.csv").open("a") as file:
+        file.write("1500,7.5,,8")  # as many columns as there are, but for the end of the number
+    with pytest.warns(
+        UserWarning, match=r"PointMaze-none-0/progress.csv is read but for its last"
+    ):
+        (read,) = read_runs([run])
+    assert [row["step"] for row in read.rows] == [500, 1000]
+
+
+def test_a_damaged_run_and_what_is_no_run_are_passed_over(folder):
+    damaged = folder / "PointMaze-none-0"
+    (damaged / "progress.csv").write_text("step,eval/return\n500\n1000,2.0\n")
+    for name, text in (("broken", "no JSON"), ("other", '{"name": "cat"}')):
+        (folder / name).mkdir()
+        (folder / name / "config.json").write_text(text)
+    with pytest.warns(UserWarning) as warned:
+        runs = read_runs(find_runs([folder]))
+    assert len(runs) == 5 and damaged not in {run.folder for run in runs}
+    said = [str(each.message) for each in warned]
+    assert [text.partition(" is passed over: ")[0] for text in said] == [
+        str(folder / name) for name in ("PointMaze-none-0", "broken", "other")
+    ]
+    assert said[2].endswith("`config.json` must be that of a run, got one without env_id.")
+
+
+def test_a_policy_that_was_exported_is_no_run(folder):
+    config = Config.of(env_id="PointMaze", bonus="none", hidden_dim=64)
+    write_run(folder / "exported", config, [])
+    (folder / "exported" / "progress.csv").unlink()
+    runs = read_runs(find_runs([folder]))
+    assert {run.agent for run in runs} == {"curiosity", "none"} and len(runs) == 6

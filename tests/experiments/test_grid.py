@@ -143,8 +143,8 @@ def test_a_run_that_is_stopped_goes_on_in_the_same_study(small_study, tmp_path, 
 
 
 def test_tables_are_written_as_results_come(small_study, tmp_path):
-    cells = cells_of(small_study, tmp_path / "runs")
-    records = Records(small_study, cells, tmp_path / "out")
+    study = replace(small_study, columns=("evaluation_return",))
+    records = Records(study, cells_of(study, tmp_path / "runs"), tmp_path / "out")
     result = Result([{"evaluation_return": 1.0}], [], {"version": "1"})
     for number in (2, 0):
         records.add(number, Outcome(result))
@@ -260,3 +260,53 @@ def test_a_part_of_a_study_is_named_by_tasks_and_agents(small_study):
 def test_seeds_begin_where_a_study_says(small_study, tmp_path):
     cells = cells_of(replace(small_study, first_seed=100), tmp_path / "runs")
     assert sorted({cell.seed for cell in cells}) == [100, 101]
+
+
+@pytest.mark.parametrize("score", [None, float("nan")], ids=str)
+def test_a_run_that_ends_without_a_return_is_not_solved(small_study, tmp_path, score):
+    records = Records(small_study, cells_of(small_study, tmp_path / "runs"), tmp_path / "out")
+    others = {name: 1.0 for name in small_study.columns}
+    for number, value in enumerate((score, 1.0, 2.0, 3.0)):
+        curve = [{"step": 20, "evaluation_return": -300.0}]
+        row = others | {"evaluation_return": value}
+        records.add(number, Outcome(Result([row], curve, {"version": "1"})))
+    records.write()
+    broken, whole, *_ = table(tmp_path / "out")
+    assert (broken["solved"], broken["solved_step"]) == ("0", "")
+    assert broken["evaluation_return"] == ("" if score is None else "nan")
+    assert (whole["solved"], whole["evaluation_return"]) == ("1", "1")
+
+
+def test_an_agent_with_a_run_without_a_value_is_not_compared(make_rows):
+    agents = {"good": {}, "bad": {}, "lost": {}}
+    study = Study([Task("maze", Config())], agents, columns=("first_success_step",))
+    rows = make_rows(study, lambda agent: 10.0 if agent == "good" else 0.0)
+    for row in rows:
+        if (row["agent"], row["seed"]) == ("lost", 1):
+            row["first_success_step"] = None
+    (text, _) = compare(study, rows)
+    assert "| bad | 1 [1, 1] |" in text and "lost" not in text
+    first = replace(study, agents=dict(reversed(agents.items())))
+    assert compare(first, rows) == []
+
+
+def test_a_column_that_is_not_measured_is_refused_at_the_first_result(
+    small_study, tmp_path, monkeypatch
+):
+    study = replace(small_study, columns=("evaluation_return", "nope"), curves=False, seeds=1)
+    places = {"runs": tmp_path / "runs" / "mine", "out": tmp_path / "out"}
+    message = "`columns` must be measured, got 'nope'; there are solved, .*coverage"
+    with pytest.raises(ValueError, match=message):
+        run_study(study, **places, workers=1)
+    assert not (tmp_path / "out.csv").exists()
+    (finished,) = (tmp_path / "runs").rglob("summary.json")
+    monkeypatch.setattr(runs, "train", None)
+    assert (
+        run_study(
+            replace(study, columns=("evaluation_return", "solved_step")),
+            **places,
+            executor=ThreadPoolExecutor(1),
+        )
+        == 1
+    )  # the other agent's, which would have to be trained
+    assert [row["agent"] for row in table(tmp_path / "out")] == [finished.parent.parent.name]

@@ -71,3 +71,11 @@ def test_another_library_s_result_is_kept_and_one_of_other_settings_refused(tiny
     assert first.rows == [{"evaluation_return": 1.0}]
     with pytest.raises(FileExistsError, match="no result of other settings"):
         run_foreign(cell({"kind": "TD3"}), trained)
+
+
+@pytest.mark.parametrize("value", ["nan", ""], ids=str)
+def test_a_run_without_a_return_has_no_area(tiny, monkeypatch, value):
+    monkeypatch.setattr(runs, "read_progress", lambda _: [{"step": 20, "eval/return": value}])
+    config = tiny.override(evaluation_interval=20)
+    (row,) = measure_area(config, {"evaluation_return": None})
+    assert row == {"area": None, "evaluation_return": None}

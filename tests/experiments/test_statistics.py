@@ -1,5 +1,8 @@
+import math
+
 import numpy as np
 import pytest
+import scipy.stats
 
 from deep_curiosity.experiments.statistics import (
     bootstrap,
@@ -69,3 +72,19 @@ def test_agents_of_other_seeds_are_refused():
 def test_rank_correlation_knows_order_alone():
     assert rank_correlation([1, 2, 3], [10.0, 20.0, 1e9]) == pytest.approx(1.0)
     assert rank_correlation([1, 2, 3], [3.0, 2.0, 1.0]) == pytest.approx(-1.0)
+
+
+def test_equal_values_share_the_mean_of_their_ranks():
+    # ranks 1, 2.5, 2.5 against 1, 2, 3: covariance 1.5 over the root of 2 times 1.5
+    assert rank_correlation([1, 2, 3], [0.0, 5.0, 5.0]) == pytest.approx(1.5 / 3**0.5)
+    assert rank_correlation([0.0, 0.5, 0.9, 0.97, 0.99], [0, 0, 208.5, 0, 0]) == 0.0
+    random = np.random.default_rng(0)
+    first, second = random.integers(4, size=(2, 30)).tolist()
+    expected = scipy.stats.spearmanr(first, second).statistic
+    assert rank_correlation(first, second) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("values", [[5, 5, 5], [1.0, math.nan, 3.0]], ids=str)
+def test_what_has_no_order_has_no_rank_correlation(values):
+    assert math.isnan(rank_correlation([1, 2, 3], values))
+    assert math.isnan(rank_correlation(values, [1, 2, 3]))

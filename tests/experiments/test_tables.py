@@ -1,5 +1,7 @@
 import csv
+from dataclasses import replace
 from importlib import resources
+from pathlib import Path
 
 import pytest
 
@@ -11,6 +13,7 @@ from deep_curiosity.experiments.tables import (
     check_page,
     markdown_table,
     median_and_range,
+    read_table,
     summarize,
     write_table,
 )
@@ -22,6 +25,20 @@ SWEEP = Study(
     label="curiosity discount",
     columns=("evaluation_return",),
 )
+ROOT = Path(__file__).parents[2]
+RANKS = {  # as the pages beside the tables have them
+    "horizon": [
+        "PendulumSwingup: rank correlation of return with curiosity discount 1.00",
+        "PendulumSwingup: rank correlation of mean_training_return with curiosity discount 0.80",
+        "PointMaze: rank correlation of return with curiosity discount 0.00",
+        "PointMaze: rank correlation of mean_training_return with curiosity discount 0.45",
+        "PointMaze: rank correlation of coverage with curiosity discount 0.70",
+    ],
+    "hunger": [
+        "PendulumSwingup: rank correlation of return with hunger 0.98",
+        "PendulumSwingup: rank correlation of coverage with hunger -0.90",
+    ],
+}
 NAMED = Study([Task("maze", Config())], {"a": {}, "b": {}}, columns=("evaluation_return",))
 
 
@@ -83,3 +100,52 @@ def test_a_folder_of_something_else_is_left_alone(tmp_path, name):
             write(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == [name]
     assert (tmp_path / name).read_text() == "# Mine\n"
+
+
+@pytest.mark.parametrize("value", [0.0, float("nan"), None], ids=str)
+def test_a_column_without_an_order_has_no_rank(make_rows, value):
+    rows = [row | {"evaluation_return": value} for row in make_rows(SWEEP, lambda value: value)]
+    assert "rank" not in summarize(SWEEP, rows)
+
+
+def test_a_sweep_with_equal_medians_has_the_rank_of_their_mean_ranks(make_rows):
+    summary = summarize(SWEEP, make_rows(SWEEP, lambda value: min(value, 0.5)))
+    assert "with curiosity discount 0.87" in summary
+
+
+def test_the_published_ranks_are_those_of_their_tables():
+    for name, lines in RANKS.items():
+        rows = [
+            {column: float(value) if column != "task" else value for column, value in row.items()}
+            for row in read_table(ROOT / "docs" / "sweeps" / f"{name}.csv")
+        ]
+        _, label, _, *columns = rows[0]
+        tasks = [Task(task, Config()) for task in dict.fromkeys(row["task"] for row in rows)]
+        agents = {value: {} for value in dict.fromkeys(row[label] for row in rows)}
+        study = Study(tasks, agents, label=label, columns=columns)
+        solved = [row | {"solved": ""} for row in rows]
+        assert [f"- {line}" for line in lines] == [
+            line for line in summarize(study, solved).splitlines() if line.startswith("- ")
+        ]
+
+
+def test_a_return_that_is_missing_is_counted_and_not_above_all_others(make_rows):
+    rows = make_rows(NAMED, lambda name: 7.0)
+    rows[0]["evaluation_return"] = None
+    assert "| maze | a | 1 of 2 | 8 [8, 8], 1 of 2 runs |" in summarize(NAMED, rows)
+    steps = replace(NAMED, columns=("first_success_step",))
+    late = [row | {"first_success_step": row["evaluation_return"]} for row in rows]
+    assert "| maze | a | 1 of 2 | never [8, never] |" in summarize(steps, late)
+
+
+def test_a_table_that_cannot_be_written_leaves_the_one_before(tmp_path, monkeypatch):
+    path = tmp_path / "table.csv"
+    write_table(path, [{"task": 1}])
+
+    def full(descriptor):
+        raise OSError("No space left on device")
+
+    monkeypatch.setattr("os.fsync", full)
+    with pytest.raises(OSError, match="No space"):
+        write_table(path, [{"task": 2}])
+    assert path.read_text() == "task\n1\n"

@@ -125,3 +125,14 @@ def test_an_agent_keeps_its_colour_where_one_before_it_is_left_out(kept, curves,
     study = replace(STUDY, agents={"bold": {}, "absent": {}, "shy": {}})
     plot_together(tmp_path / "figure.png", study, rows_of(), curves)
     assert [line.get_color() for line in kept[0].axes[0].lines] == ["C0", "C2"]
+
+
+def test_an_agent_with_a_run_without_evaluations_has_no_curve(kept, curves, tmp_path):
+    lost = ("hill", "shy", 1)
+    curves = [row for row in curves if (row["task"], row["agent"], row["seed"]) != lost]
+    plot_together(tmp_path / "figure.png", STUDY, rows_of(), curves)
+    over_time, profile = kept[0].axes
+    assert [text.get_text() for text in over_time.texts] == ["bold"]
+    assert len(profile.lines) == 2
+    plot_together(tmp_path / "figure.png", STUDY, rows_of(), [])
+    assert len(kept[1].axes[0].lines) == 0

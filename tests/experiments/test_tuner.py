@@ -80,9 +80,8 @@ def search_in(search):
                 search,
                 trials=trials,
                 runs=folder / "runs",
-                out=folder / "out" / "best",
                 engine=CtrlC(executor, after),
-                **options,
+                **{"out": folder / "out" / "best"} | options,
             )
 
     return run
@@ -213,3 +212,63 @@ def test_numbers_of_trials_are_checked(search_in, tmp_path):
     for name in ("trials", "at_once"):
         with pytest.raises(ValueError, match=f"`{name}` must be at least 1, got 0"):
             search_in(tmp_path, **{name: 0})
+
+
+def test_searches_whose_names_end_in_a_number_keep_files_of_their_own(search_in, calls, tmp_path):
+    for name in ("gamma0.1", "gamma0.2"):
+        search_in(tmp_path / name, trials=1, out=tmp_path / name)
+    found = {path.name for path in tmp_path.iterdir() if path.is_file()}
+    assert found == {
+        f"gamma0.{number}{ending}" for number in (1, 2) for ending in (".csv", ".json", ".png")
+    }
+
+
+def test_a_file_of_something_else_is_left_alone_and_nothing_is_tried(search_in, calls, tmp_path):
+    (tmp_path / "mine.json").write_text("mine")
+    with pytest.raises(FileExistsError, match=r"`out` must name new files, .*mine\.json"):
+        search_in(tmp_path, out=tmp_path / "mine")
+    assert (tmp_path / "mine.json").read_text() == "mine" and not calls
+    search_in(tmp_path, trials=1)
+    search_in(tmp_path, trials=2)  # over its own
+
+
+def test_a_trial_with_a_run_that_has_lost_its_evaluations_has_failed(
+    search_in, calls, tmp_path, monkeypatch, capsys
+):
+    told = tuner._Trial.tell
+
+    def lose_and_tell(trial, study):
+        if trial.trial.number == 0:
+            next(trial.folder.rglob(tuner.EVALUATIONS)).unlink()
+        told(trial, study)
+
+    monkeypatch.setattr(tuner._Trial, "tell", lose_and_tell)
+    study = search_in(tmp_path, trials=2)
+    assert [trial.state.name for trial in study.trials] == ["FAIL", "COMPLETE"]
+    assert "no evaluation at its end is noted" in capsys.readouterr().err
+
+
+def test_a_trial_that_failed_and_was_cut_off_has_failed_when_the_search_goes_on(
+    search_in, calls, tmp_path, monkeypatch
+):
+    run_once = tuner.run_once
+
+    def fail(config, on_evaluation):
+        if config.run.seed == 1_001:  # the last runs of a trial; the others have come to their end
+            raise ArithmeticError("too poor")
+        return run_once(config, on_evaluation)
+
+    monkeypatch.setattr(tuner, "run_once", fail)
+    monkeypatch.setattr(tuner._Trial, "tell", interrupting(tuner._Trial.tell, at=1))
+    with pytest.raises(KeyboardInterrupt):
+        search_in(tmp_path, trials=1)
+    assert [trial.state.name for trial in search_in(tmp_path, trials=1).trials] == ["FAIL"]
+
+
+@pytest.mark.parametrize("storage", ["garbage", "", "garbage://x", "sqlite:////no/such/x.db"])
+def test_a_storage_that_cannot_be_opened_is_refused(search_in, calls, tmp_path, storage):
+    with pytest.raises(
+        ValueError, match=f"`storage` must be the URL .*, got {storage!r}: "
+    ) as got:
+        search_in(tmp_path, storage=storage)
+    assert "\n" not in str(got.value) and not calls
