@@ -1,6 +1,7 @@
 """Figures in the text of pages, each computed anew from the table that it is of."""
 
 import functools
+import math
 import statistics
 
 import numpy as np
@@ -306,6 +307,39 @@ def test_what_is_said_of_the_second_illustration_is_what_was_measured():
     }
     assert f"stays with probability {' and '.join(stays['far-sighted'])}, where 0.74" in page
     assert f"one step ahead {' and '.join(stays['one step'])}, where 0.5 is" in page
+
+
+def test_what_is_said_of_the_goals_is_what_was_measured():
+    page = text_of("docs/study/README.md")
+    rows = rows_of("docs/study/goals.csv")
+    agents = ("curiosity", "uniform prior")
+    solved = [sum(row["solved"] for row in rows if row["agent"] == agent) for agent in agents]
+    assert [row["agent"] for row in rows].count("curiosity") == len(rows) // 2 == 60
+    said = "The default solves {:.0f} runs of 60, and the uniform prior {:.0f}:"
+    assert said.format(*solved) in page
+    groups = [
+        [
+            [row["evaluation_return"] for row in own]
+            for (name, _), own in grouped(rows, "agent", "task").items()
+            if name == agent
+        ]
+        for agent in agents
+    ]
+    said = "return being the larger with probability {:.2f} (an interval from {:.2f} to {:.2f})"
+    assert said.format(*probability_of_improvement(*groups)) in page
+    never = math.inf
+    first = {
+        key: np.median(
+            [
+                never if row["first_success_step"] is None else row["first_success_step"]
+                for row in own
+            ]
+        )
+        for key, own in grouped(rows, "task", "agent").items()
+    }
+    sooner = {task for task, _ in first if first[task, agents[0]] < first[task, agents[1]]}
+    assert {"CartpoleSwingup", "PendulumSwingup, full updates"} <= sooner
+    assert sooner.isdisjoint({"PointMaze, half the updates", "PointMaze, ends at goal"})
 
 
 def test_a_constant_bonus_earns_nothing():

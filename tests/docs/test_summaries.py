@@ -20,7 +20,6 @@ TABLES = {  # whose names are not those of their studies
     "half-life-4": "development",
     "half-life-30": "development",
     "goals-shared-prior": "goals",
-    "goals-learned": "goals",
 }
 
 
