@@ -1,6 +1,7 @@
 """Replay: one preallocated tensor, its rows views of raw transitions."""
 
 import math
+import numbers
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
     from torchrl.data import ReplayBuffer as TorchRLReplayBuffer
 
 Vector = np.ndarray | Sequence[float] | float
+SEEDS = -(2**63), 2**64  # what torch's generators take, the last excluded
+FLAGS = "terminated", "truncated"
 UNENDED = 2**62  # in the place of the number of a row by which an episode ends
 
 
@@ -34,7 +37,8 @@ class ReplayBuffer:
         device: Where rows are kept and batches come out.
 
     Raises:
-        ValueError: If a size is below 1.
+        TypeError: If a size or the seed is no whole number.
+        ValueError: If a size is below 1, or the seed none that torch takes.
     """
 
     def __init__(
@@ -53,18 +57,20 @@ class ReplayBuffer:
             action_dim=action_dim,
             num_envs=num_envs,
         )
+        _check_seed(seed)
         self.capacity = capacity
         self.num_envs = num_envs
         self.observation_dim = observation_dim
         self.action_dim = action_dim
         self._widths = [observation_dim, action_dim, 1, observation_dim, 1, 1]
-        self._rows = torch.empty(capacity, sum(self._widths), device=device)
-        self.bonus = torch.full((capacity,), math.nan, device=device)
+        shape = capacity, sum(self._widths)
+        self._rows = torch.empty(shape, dtype=torch.float32, device=device)
+        self.bonus = torch.full((capacity,), math.nan, dtype=torch.float32, device=device)
         """Of the transition in each slot, as it last was; NaN until it is known."""
         self._num_added = 0
         self._last: Tensor | None = None  # by slot, the number of the row that ends its episode
         self._num_searched = 0  # rows among which ends of episodes were looked for
-        self._generator = torch.Generator(device).manual_seed(seed)
+        self._generator = torch.Generator(device).manual_seed(int(seed))
 
     def __len__(self) -> int:
         """Number of transitions held."""
@@ -82,14 +88,21 @@ class ReplayBuffer:
         """Append one transition, in place of the oldest when full.
 
         Raises:
-            ValueError: If a shape is wrong or a value is NaN or infinite; nothing is then stored.
+            TypeError: If a value is no real number; nothing is then stored.
+            ValueError: If a shape is wrong, a value is NaN or infinite, or a flag neither False
+                nor True; nothing is then stored.
         """
         fields = observation, action, reward, next_observation, terminated, truncated
-        with np.errstate(over="ignore"):  # what is too large becomes infinite, and is refused
-            row = np.concatenate(fields, axis=None, dtype=np.float32, casting="unsafe")
-        if [*map(np.size, fields)] != self._widths or not np.isfinite(row).all():
-            for name, value, width in zip(Transition._fields, fields, self._widths, strict=True):
-                _check_vector(name, value, width)
+        try:
+            with np.errstate(over="ignore"):  # what is too large becomes infinite, and is refused
+                row = np.concatenate(fields, axis=None, dtype=np.float32, casting="same_kind")
+            fits = [*map(np.size, fields)] == self._widths and bool(np.isfinite(row).all())
+            fits = fits and terminated in (0, 1) and truncated in (0, 1)
+        except (TypeError, ValueError):
+            fits = False
+        if not fits:
+            columns = zip(Transition._fields, fields, self._widths, strict=True)
+            row = np.concatenate([_as_vector(*column) for column in columns])
         slot = self._num_added % self.capacity
         if self._rows.is_cpu:
             self._rows.numpy()[slot] = row  # half the price of going through torch
@@ -121,24 +134,28 @@ class ReplayBuffer:
                 stands there once more, in both places as the end of its episode.
 
         Raises:
-            ValueError: If a shape is wrong or a value is NaN or infinite; nothing is then stored.
+            TypeError: If a value is no real number; nothing is then stored.
+            ValueError: If a shape is wrong or there is no row, a value is NaN or infinite, or a
+                flag neither False nor True; nothing is then stored.
         """
-        num_rows = len(observation)
+        num_rows = _count_rows(observation)
         fields = observation, action, reward, next_observation, terminated, truncated
         vectors, actions = (num_rows, self.observation_dim), (num_rows, self.action_dim)
         shapes = [vectors, actions, (num_rows,), vectors, (num_rows,), (num_rows,)]
         try:
             with np.errstate(over="ignore"):  # what is too large becomes infinite, and is refused
-                columns = [np.asarray(f, dtype=np.float32).reshape(num_rows, -1) for f in fields]
-                rows = np.concatenate(columns, axis=1)
+                columns = [np.asarray(f).reshape(num_rows, -1) for f in fields]
+                rows = np.concatenate(columns, axis=1, dtype=np.float32, casting="same_kind")
             fits = [*map(np.shape, fields)] == shapes and bool(np.isfinite(rows).all())
+            fits = fits and columns[-2].dtype == columns[-1].dtype == bool
         except (TypeError, ValueError):
             fits = False
         if not fits:
-            for name, value, shape in zip(Transition._fields, fields, shapes, strict=True):
-                _check_rows(name, value, shape)
-        if sound is not None and not sound.all():
-            rows = self._end_before(rows, sound)
+            named = zip(Transition._fields, fields, shapes, strict=True)
+            rows = np.concatenate([_as_rows(*column) for column in named], axis=1)
+        if sound is not None:
+            sound = _as_sound(sound, num_rows)
+            rows = rows if sound.all() else self._end_before(rows, sound)
         newest = rows[-self.capacity :]
         self._num_added += len(rows)
         slot = np.arange(self._num_added - len(newest), self._num_added) % self.capacity
@@ -361,12 +378,14 @@ class ReplayBuffer:
         self.bonus[: rows.shape[0]] = state["bonus"]
         self._num_added = state["num_added"]
         self._last = None
+        self._num_searched = 0
         self._generator.set_state(state["generator"])
 
     def take_over(self, state: dict[str, Any]) -> None:
         """Begin with the newest transitions of another buffer, as many as there is room for.
 
         What was an episode in progress there is cut off here: nothing is known of what followed.
+        Nor is any bonus known of these transitions here.
 
         Args:
             state: Of a buffer with transitions of the same sizes, from as many environments.
@@ -384,8 +403,10 @@ class ReplayBuffer:
         rows[-self.num_envs :, -1] = 1.0
         held = rows[-self.capacity :]
         self._rows[: len(held)] = held
+        self.bonus.fill_(math.nan)  # which was of what stood there before
         self._num_added = len(held)
         self._last = None
+        self._num_searched = 0
 
     def to_torchrl(self) -> "TorchRLReplayBuffer":
         """Copy into a torchrl buffer under torchrl's usual keys.
@@ -472,18 +493,26 @@ class ReplayBuffer:
         return self.sequences(rows, alive).steps
 
 
-def _check_vector(name: str, value: Vector, dim: int) -> None:
-    with np.errstate(over="ignore"):
-        vector = np.asarray(value, dtype=np.float32).reshape(-1)
+def _as_vector(name: str, value: Vector, dim: int) -> np.ndarray:
+    """A field of a transition as float32, `(dim,)`.
+
+    Raises:
+        TypeError: If it is not of real numbers.
+        ValueError: If it has another length, NaN or infinity, or a flag is neither False nor True.
+    """
+    vector = _as_float32(name, value).reshape(-1)
     if vector.shape != (dim,):
         raise ValueError(f"`{name}` must have {dim} entries, got {vector.shape[0]}.")
     if not np.isfinite(vector).all():
         raise ValueError(f"`{name}` must be finite, got {vector.tolist()}.")
+    if name in FLAGS and vector[0] not in (0, 1):
+        raise ValueError(f"`{name}` must be False or True, got {value!r}.")
+    return vector
 
 
-def _check_rows(name: str, value: np.ndarray, shape: tuple[int, ...]) -> None:
-    with np.errstate(over="ignore"):
-        array = np.asarray(value, dtype=np.float32)
+def _as_rows(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
+    """The same of several transitions, `(num_rows, dim)`, from an array of a given shape."""
+    array = _as_float32(name, value)
     if array.shape != shape:
         raise ValueError(f"`{name}` must have shape {shape}, got {array.shape}.")
     rows = array.reshape(len(array), -1)
@@ -491,6 +520,57 @@ def _check_rows(name: str, value: np.ndarray, shape: tuple[int, ...]) -> None:
     if not finite.all():
         row = int(np.argmin(finite))
         raise ValueError(f"`{name}` must be finite, got {rows[row].tolist()} in row {row}.")
+    if name in FLAGS and not np.isin(array, (0, 1)).all():
+        row = int(np.argmin(np.isin(array, (0, 1))))
+        raise ValueError(f"`{name}` must be False or True, got {array[row]:g} in row {row}.")
+    return rows
+
+
+def _as_float32(name: str, value: Any) -> np.ndarray:
+    """Real numbers as float32; those in an array of objects as well.
+
+    Raises:
+        TypeError: If they are text, complex numbers or no numbers at all.
+        ValueError: If there is not the same number of them in every row.
+    """
+    try:
+        array = np.asarray(value)
+        if array.dtype.kind not in "biufO":
+            raise TypeError
+        with np.errstate(over="ignore"):
+            return array.astype(np.float32)
+    except TypeError:
+        raise TypeError(f"`{name}` must be of real numbers, got {value!r}.") from None
+    except ValueError:
+        raise ValueError(f"`{name}` must be an array of real numbers, got {value!r}.") from None
+
+
+def _count_rows(observation: Any) -> int:
+    """Number of rows, at least 1."""
+    shape = np.shape(observation)
+    if len(shape) < 2 or not shape[0]:
+        raise ValueError(
+            "`observation` must have shape (num_rows, observation_dim) with at least 1 row, "
+            f"got {shape}."
+        )
+    return shape[0]
+
+
+def _as_sound(sound: Any, num_rows: int) -> np.ndarray:
+    """Which rows are steps to learn from."""
+    flags = np.asarray(sound)
+    if flags.dtype != bool:
+        raise TypeError(f"`sound` must be an array of bool, got {flags.dtype}.")
+    if flags.shape != (num_rows,):
+        raise ValueError(f"`sound` must have shape ({num_rows},), got {flags.shape}.")
+    return flags
+
+
+def _check_seed(seed: Any) -> None:
+    if isinstance(seed, bool) or not isinstance(seed, numbers.Integral):
+        raise TypeError(f"`seed` must be a whole number, got {seed!r}.")
+    if not SEEDS[0] <= int(seed) < SEEDS[1]:
+        raise ValueError(f"`seed` must lie in [-2**63, 2**64), got {seed}.")
 
 
 def _oldest_first(buffer: "TorchRLReplayBuffer") -> Any:

@@ -7,7 +7,7 @@ from typing import Literal, get_args
 from deep_curiosity.transitions import is_number
 
 Shape = Literal["constant", "linear", "exponential", "plateaus"]
-NUM_PLATEAUS = 10  # temperatures at which annealing waits
+NUM_PLATEAUS = 10  # values at which annealing waits, the first and the last among them
 
 
 @dataclass(frozen=True)
@@ -21,8 +21,9 @@ class Schedule:
         first: Value at the beginning.
         last: Value at the end; `first` when `None`.
         shape: `"constant"`; `"linear"`; `"exponential"`, by the same factor at every step; or
-            `"plateaus"`, the same in ten steps, so that the policy settles at each value before
-            the next: deterministic annealing, as the paper's section 4 lowers lambda.
+            `"plateaus"`, at ten values for a tenth of the way each, from the first to the last by
+            the same factor, so that the policy settles at each value before the next:
+            deterministic annealing, as the paper's section 4 lowers lambda.
 
     Raises:
         ValueError: If an end is not finite and positive, the shape is unknown, or a constant is to
@@ -84,5 +85,6 @@ class Schedule:
         if self.shape == "linear":
             return self.first + progress * (self.last - self.first)
         if self.shape == "plateaus":
-            progress = math.floor(progress * NUM_PLATEAUS) / NUM_PLATEAUS
+            plateau = min(math.floor(progress * NUM_PLATEAUS), NUM_PLATEAUS - 1)
+            progress = plateau / (NUM_PLATEAUS - 1)
         return self.first * (self.last / self.first) ** progress

@@ -86,7 +86,8 @@ class Sequences(NamedTuple):
 
         Raises:
             TypeError: If a field has the wrong kind.
-            ValueError: If a field has the wrong shape or holds NaN or infinity.
+            ValueError: If a field has the wrong shape or holds NaN or infinity, or a sequence has
+                no first step or lives again. Values are not looked at inside a compiled graph.
         """
         check_transition(self.steps, observation_dim, action_dim, dtype)
         if not isinstance(self.alive, Tensor) or self.alive.dtype != torch.bool:
@@ -95,6 +96,15 @@ class Sequences(NamedTuple):
             raise ValueError(
                 f"`alive` must have shape (num_steps, batch) of {len(self.steps.reward)} steps, "
                 f"got {tuple(self.alive.shape)}."
+            )
+        if torch.compiler.is_compiling():
+            return
+        falls = self.alive[1:] <= self.alive[:-1]
+        if not self.alive[0].all() & falls.all():  # one wait for a device
+            wrong = torch.cat([~self.alive[:1], ~falls]).any(0).nonzero()[0, 0]
+            raise ValueError(
+                "`alive` must be True at the first step of every sequence and never again once it "
+                f"is False, got {self.alive[:, wrong].tolist()} in sequence {int(wrong)}."
             )
 
 

@@ -524,3 +524,108 @@ def test_to_look_for_ends_samples_nothing():
     one, other = filled(8), filled(8)
     one._last_numbers()
     assert equal(one.sample(20), other.sample(20))
+
+
+BAD_VALUES = [
+    ("reward", math.nan, ValueError, r"`reward` must be finite, got \[nan\]"),
+    ("terminated", -1, ValueError, "`terminated` must be False or True, got -1"),
+    ("truncated", 0.5, ValueError, "`truncated` must be False or True, got 0.5"),
+    ("reward", 1 + 2j, TypeError, r"`reward` must be of real numbers, got \(1\+2j\)"),
+    ("reward", "a", TypeError, "`reward` must be of real numbers, got 'a'"),
+    ("reward", "1", TypeError, "`reward` must be of real numbers, got '1'"),
+    ("action", [0.0, [1.0]], ValueError, "`action` must be an array of real numbers, got"),
+]
+
+
+@pytest.mark.parametrize(("name", "value", "error", "message"), BAD_VALUES)
+def test_what_is_no_number_or_no_flag_is_rejected_and_not_stored(name, value, error, message):
+    replay = filled(2)
+    with pytest.raises(error, match=message):
+        replay.add(**GOOD | {name: value})
+    assert numbers(replay.all()) == [0, 1]
+
+
+@pytest.mark.parametrize("one", [True, 1, 1.0, np.bool_(True), np.array([True]), [1]])
+def test_flags_may_be_written_as_numbers(one):
+    replay = ReplayBuffer(2, 3, 2)
+    replay.add(**GOOD | {"terminated": one})
+    assert replay.all().terminated.tolist() == [True]
+    assert replay.all().truncated.tolist() == [False]
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "error", "message"),
+    [
+        ("terminated", np.array([0, -1, 0]), ValueError, "`terminated` .* got -1 in row 1"),
+        ("reward", np.array([0, 1j, 0]), TypeError, "`reward` must be of real numbers, got"),
+        ("reward", np.array(["0", "1", "a"]), TypeError, "`reward` must be of real numbers, got"),
+        (
+            "observation",
+            np.zeros((0, 3)),
+            ValueError,
+            r"`observation` .* at least 1 row, got \(0,",
+        ),
+        ("observation", 1.0, ValueError, r"`observation` must have shape .* got \(\)"),
+        ("sound", np.array([True]), ValueError, r"`sound` must have shape \(3,\), got \(1,\)"),
+        ("sound", np.ones(3), TypeError, "`sound` must be an array of bool, got float64"),
+    ],
+)
+def test_several_of_which_one_is_no_number_are_all_refused(name, value, error, message):
+    replay = filled(2)
+    values = dict(zip(Transition._fields, unended(2, 3), strict=True))
+    with pytest.raises(error, match=message):
+        replay.extend(**values | {name: value})
+    assert numbers(replay.all()) == [0, 1]
+
+
+def test_several_flags_may_be_written_as_numbers():
+    replay = ReplayBuffer(8, 3, 2)
+    values = dict(zip(Transition._fields, unended(0, 3), strict=True))
+    replay.extend(**values | {"terminated": np.array([0.0, 1.0, 0.0])})
+    assert replay.all().terminated.tolist() == [False, True, False]
+
+
+def test_no_bonus_is_known_of_what_is_taken_over():
+    replay = filled(8)
+    replay.bonus[:] = torch.arange(8.0)
+    replay.take_over(filled(5).state_dict())
+    assert replay.bonus.isnan().all()
+
+
+def test_later_steps_are_found_among_fewer_rows_than_were_searched_before():
+    for restore in ("take_over", "load_state_dict"):
+        replay = filled(8)
+        check_later(replay)
+        getattr(replay, restore)(filled(3).state_dict())
+        check_later(replay)
+
+
+@pytest.mark.parametrize(
+    ("seed", "error", "message"),
+    [
+        (2**64, ValueError, r"`seed` must lie in \[-2\*\*63, 2\*\*64\), got 18446744073709551616"),
+        (1.5, TypeError, "`seed` must be a whole number, got 1.5"),
+        ("1", TypeError, "`seed` must be a whole number, got '1'"),
+        (True, TypeError, "`seed` must be a whole number, got True"),
+    ],
+)
+def test_a_seed_must_be_one_that_torch_takes(seed, error, message):
+    with pytest.raises(error, match=message):
+        ReplayBuffer(4, 3, 2, seed=seed)
+
+
+@pytest.mark.parametrize("seed", [2**64 - 1, -1, np.int64(3)])
+def test_a_seed_may_be_any_that_torch_takes(seed):
+    assert len(ReplayBuffer(4, 3, 2, seed=seed)) == 0
+
+
+def test_rows_are_of_single_precision_whatever_the_default():
+    before = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float64)
+    try:
+        replay = filled(3)
+    finally:
+        torch.set_default_dtype(before)
+    assert replay.bonus.dtype == torch.float32
+    assert equal(replay.all(), filled(3).all())
+    assert replay.sample(2).observation.dtype == torch.float32

@@ -22,8 +22,16 @@ def test_the_shapes_are_what_they_are_called():
     assert Schedule(1.0, 0.01, "exponential")(0.5) == pytest.approx(0.1)
     assert [Schedule(0.3, shape="constant")(step / 10) for step in range(12)] == [0.3] * 12
     plateaus = [Schedule(1.0, 0.01, "plateaus")(step / 100) for step in range(101)]
-    assert len(set(plateaus)) == 11
-    assert plateaus[49] == plateaus[40] == pytest.approx(0.01**0.4)
+    assert [plateaus.count(value) for value in sorted(set(plateaus))] == [11, *[10] * 9]
+    assert plateaus[49] == plateaus[40] == pytest.approx(0.01 ** (4 / 9))
+
+
+def test_ten_plateaus_go_from_the_first_to_the_last_which_is_acted_at():
+    schedule = Schedule(0.02, 0.002, "plateaus")
+    assert [schedule(step / 10) for step in range(11)] == pytest.approx(
+        [0.02 * 0.1 ** (min(plateau, 9) / 9) for plateau in range(11)]
+    )
+    assert schedule(0.9) == schedule(1.0) == pytest.approx(0.002)
 
 
 @pytest.mark.parametrize(

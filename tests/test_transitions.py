@@ -1,4 +1,5 @@
 import math
+import re
 
 import numpy as np
 import pytest
@@ -124,6 +125,17 @@ def test_sequences_that_do_not_fit_their_steps_are_rejected():
     sequences = Sequences(transition(batch=6), torch.ones(2, 2, dtype=torch.bool))
     with pytest.raises(ValueError, match=r"`alive` must have shape .* of 6 steps, got \(2, 2\)"):
         sequences.check(3, 2, torch.float32)
+
+
+@pytest.mark.parametrize("life", [[False, False, False], [False, True, True], [True, False, True]])
+def test_a_sequence_has_a_first_step_and_lives_once(life):
+    alive = torch.tensor([[True, True, True], life, [True, True, False]]).T
+    sequences = Sequences(transition(batch=9), alive)
+    rule = re.escape(f"never again once it is False, got {life} in sequence 1.")
+    with pytest.raises(ValueError, match=f"`alive` must be True at the first step .* {rule}"):
+        sequences.check(3, 2, torch.float32)
+    alive = torch.tensor([[True, True, True], [True, False, False], [True, True, False]]).T
+    assert Sequences(transition(batch=9), alive).check(3, 2, torch.float32) is None
 
 
 def test_a_count_below_one_is_rejected_by_name_and_value():

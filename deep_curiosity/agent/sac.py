@@ -1,10 +1,11 @@
 """The curious agent: soft actor-critic with an action prior and a second value, of curiosity."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from typing import Any, NamedTuple
 
+import numpy as np
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -55,6 +56,7 @@ PARITY_FLOOR = 1e-3  # of their ratio: a conditioned agent lifts curiosity by at
 BonusFunction = Callable[..., Tensor]
 """A bonus as the agent calls it: of observations, actions and, if known, next observations."""
 Hunger = Float[Tensor, ""] | Float[Tensor, " batch"]  # one for all, or one for each
+GivenHunger = Tensor | np.ndarray | Sequence[float] | float  # the same, as a caller has it
 
 
 class PolicySample(NamedTuple):
@@ -163,6 +165,7 @@ class CuriousSAC(nn.Module):
                 for name, parameters in self._trained_parameters().items()
             }
         )
+        self.register_load_state_dict_post_hook(_step_what_was_loaded)
 
     def _make_networks(self) -> None:
         """Make policies, critics, the slow copy of these, and the action prior."""
@@ -266,25 +269,25 @@ class CuriousSAC(nn.Module):
     def policy_input(
         self,
         observation: Float[Tensor, "*values batch observation_dim"],
-        hunger: Tensor | None = None,
+        hunger: GivenHunger | None = None,
     ) -> Float[Tensor, "*values batch policy_input_dim"]:
         """Input of policy and critics: the observation, and behind it the hunger if conditioned.
 
         Args:
             observation: As the environment gave it.
-            hunger: One for all or one for each; the agent's own by default.
+            hunger: From 0, purely curious, to 1, purely greedy: one for all or one for each; the
+                agent's own by default. An agent that is not conditioned on its hunger has learned
+                to act at that of the updates, and leaves any other aside.
 
         Raises:
-            ValueError: If there is neither one hunger nor one for each.
+            TypeError: If the hunger is neither a number nor a tensor of them.
+            ValueError: If there is neither one hunger nor one for each, or one outside [0, 1].
+                Values are not looked at inside a compiled graph.
         """
         if not self.is_conditioned:
             return observation
-        hunger = self._hunger if hunger is None else hunger
-        if hunger.shape not in ((), observation.shape[-2:-1]):
-            raise ValueError(
-                f"`hunger` must be one number or {observation.shape[-2]}, got shape "
-                f"{tuple(hunger.shape)}."
-            )
+        hunger = self._hunger if hunger is None else _as_hunger(hunger, self._hunger)
+        _check_hunger(hunger, observation.shape[-2])
         entry = hunger.expand(observation.shape[:-1]).unsqueeze(-1)
         return torch.cat([observation, entry], dim=-1)
 
@@ -295,7 +298,7 @@ class CuriousSAC(nn.Module):
         *,
         deterministic: bool = False,
         greedy: bool = False,
-        hunger: Tensor | None = None,
+        hunger: GivenHunger | None = None,
     ) -> Float[Tensor, "batch action_dim"]:
         """Sample actions in [-1, 1], or take the centre of the policy.
 
@@ -303,7 +306,13 @@ class CuriousSAC(nn.Module):
             observation: Where.
             deterministic: Take the centre of the weightiest component.
             greedy: Act by the greedy policy, if there is one.
-            hunger: One for all or one for each, where conditioned; the agent's own by default.
+            hunger: In [0, 1], one for all or one for each; the agent's own by default. It is left
+                aside by an agent that is not conditioned on it.
+
+        Raises:
+            TypeError: If an argument has the wrong kind.
+            ValueError: If the observation has the wrong shape or holds NaN or infinity, or the
+                agent is conditioned and the hunger outside [0, 1] or not one or one for each.
         """
         dtype = self.log_temperature.dtype
         check_inputs(dtype, observation=(observation, self.observation_dim))
@@ -329,15 +338,17 @@ class CuriousSAC(nn.Module):
             bonus: `(num_steps * batch,)`, of the first `curiosity_steps` of every sequence, NaN
                 behind the first one where it is not known, which ends what is summed; or the
                 function itself, of observation, action and next observation, which must be given
-                where `curiosity_discount` is 0.
+                where `curiosity_discount` is 0. What it returns must be such a tensor; without NaN
+                where the policy maximises it.
 
         Returns:
             What to log: detached 0-d tensors, information in nats.
 
         Raises:
-            TypeError: If a field of the transition has the wrong kind.
+            TypeError: If a field of the transition, or the bonus or what it returns, has the wrong
+                kind.
             ValueError: If a bonus is given to an agent without curiosity, or not to a curious one,
-                or a field has the wrong shape or holds NaN or infinity.
+                or a field or the bonus has the wrong shape or holds NaN or infinity.
         """
         sequences = as_sequences(batch)
         self._check_update(sequences, bonus)
@@ -399,18 +410,23 @@ class CuriousSAC(nn.Module):
         elif not (bonus is None or callable(bonus)):
             raise TypeError(f"`bonus` must be a tensor or a function, got {bonus!r}.")
 
-    def _check_bonus(self, bonus: Tensor, num_rows: int, batch_size: int) -> None:
+    def _check_bonus(
+        self, bonus: Tensor, num_rows: int, num_first: int, rows: str = "`curious_steps`"
+    ) -> None:
+        """Reject a bonus, given or returned by a function, that is none; later rows may be NaN."""
         dtype = self.log_temperature.dtype
-        if bonus.dtype != dtype:
-            raise TypeError(f"`bonus` must be a tensor of {dtype}, got {bonus.dtype}.")
+        if not isinstance(bonus, Tensor) or bonus.dtype != dtype:
+            kind = bonus.dtype if isinstance(bonus, Tensor) else type(bonus).__name__
+            raise TypeError(f"`bonus` must be a tensor of {dtype}, got {kind}.")
         if bonus.shape != (num_rows,):
             raise ValueError(
                 f"`bonus` must have shape ({num_rows},), one number for each of the "
-                f"`curious_steps`, got {tuple(bonus.shape)}."
+                f"{rows}, got {tuple(bonus.shape)}."
             )
         if torch.compiler.is_compiling():
             return
-        later = torch.arange(num_rows, device=bonus.device) >= batch_size
+        bonus = bonus.detach()
+        later = torch.arange(num_rows, device=bonus.device) >= num_first
         known = bonus.masked_fill(later & bonus.isnan(), 0.0)
         if not torch.linalg.vector_norm(known) <= LARGEST:
             check_moderate(bonus=known)
@@ -481,6 +497,7 @@ class CuriousSAC(nn.Module):
         if not isinstance(bonus, Tensor):
             observation, action, _, next_observation, *_ = self.curious_steps(sequences)
             bonus = bonus(observation, action, next_observation)
+            self._check_bonus(bonus, len(observation), sequences.alive.shape[1])
         return [sequences.steps.reward, bonus]
 
     def _next_values(
@@ -584,6 +601,8 @@ class CuriousSAC(nn.Module):
         else:
             assert not isinstance(bonus, Tensor)
             curiosity_value = bonus(policy_input[:, : self.observation_dim], curious)
+            num_rows = len(curious)
+            self._check_bonus(curiosity_value, num_rows, num_rows, "policy's actions")
             std = curiosity_value.detach().std(correction=0)
             self.value_stds[1:].lerp_(std.expand(1), 1 - STD_DECAY)
         curiosity_value = curiosity_value.unflatten(0, (shape[0], shape[2]))
@@ -642,6 +661,12 @@ class CuriousSAC(nn.Module):
         return {name: own for name, own in parameters.items() if own}
 
 
+def _step_what_was_loaded(agent: CuriousSAC, _: object) -> None:
+    """Give the optimisers the parameters of now: with `assign`, loading puts others there."""
+    for name, parameters in agent._trained_parameters().items():
+        agent.optimizers[name].replace_targets(parameters)
+
+
 def _check_number(name: str, value: float, **bounds: float) -> None:
     """Reject what is no finite number, or one out of the bounds of `setting`."""
     if not is_number(value):
@@ -666,6 +691,30 @@ def check_rate(rate: float, action_dim: int) -> None:
 def sample_hunger(like: Float[Tensor, " batch"]) -> Float[Tensor, " batch"]:
     """Hungers to relabel a batch with: a quarter at each end, the others between them."""
     return (2 * torch.rand_like(like) - 0.5).clamp(0.0, 1.0)
+
+
+def _as_hunger(value: Any, like: Tensor) -> Tensor:
+    """Numbers as a tensor in the precision of the networks, where they are."""
+    try:
+        return torch.as_tensor(value, dtype=like.dtype, device=like.device)
+    except (TypeError, ValueError, RuntimeError):
+        raise TypeError(
+            f"`hunger` must be a number, or one for each observation, got {value!r}."
+        ) from None
+
+
+def _check_hunger(hunger: Tensor, batch_size: int) -> None:
+    """Reject what is no hunger of a conditioned agent; values outside of graphs alone."""
+    if hunger.shape not in ((), (batch_size,)):
+        raise ValueError(
+            f"`hunger` must be one number or {batch_size}, got shape {tuple(hunger.shape)}."
+        )
+    if torch.compiler.is_compiling():
+        return
+    inside = (hunger >= 0) & (hunger <= 1)
+    if not inside.all():
+        wrong = hunger[~inside].flatten()[0].item()
+        raise ValueError(f"`hunger` must lie in [0, 1] where conditioned, got {wrong}.")
 
 
 def _first_hunger(config: AgentConfig) -> float:

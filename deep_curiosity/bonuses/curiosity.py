@@ -246,24 +246,27 @@ class CuriosityBonus(Bonus):
                 enter at the next renewal. All statistics stay those of the batch.
 
         Raises:
-            TypeError: If a field has the wrong kind.
-            ValueError: If a field has the wrong shape or holds NaN or infinity. The statistics
-                are then as before.
+            TypeError: If a field, or what the policy returns, has the wrong kind.
+            ValueError: If a field, or what the policy returns, has the wrong shape or holds NaN or
+                infinity, or a feature is none to compute with. The statistics are then as before.
         """
         if self.should_skip:
             self.skip()
             return
         self._check_transition(transition)
-        fresh = transition if visited is None else visited
+        fresh = transition
+        if visited is not None:
+            fresh = visited
+            self._check_transition(fresh)
+            self.dynamics.check_features(fresh.observation)
         if policy is not None:
             fresh = fresh._replace(action=policy(fresh.observation))
-        if fresh is not transition:
             self._check_transition(fresh)
+        self.dynamics.observe(transition)  # first of all: it may refuse what features give
         scored, late = transition, fresh
         if not self.ready:  # half of the first batch is components, the other half is scored
             scored, late = every_second(transition, 1), every_second(fresh, 1)
             self._remember(every_second(fresh, 0))
-        self.dynamics.observe(transition)
         self._refresh()
         if len(scored.action):  # none of a first batch of one: the next is then due at once
             self.every.count()

@@ -13,7 +13,7 @@ from torch.nn.functional import softplus
 from deep_curiosity.gaussians import DiagonalMixture
 from deep_curiosity.nn.networks import StackedMLP, assign_rows, log_softmax_of_rest, restore_order
 from deep_curiosity.nn.statistics import HASH_FACTOR, HASH_OFFSET, WHITENINGS, scrambled
-from deep_curiosity.transitions import Transition, check_counts, check_finite, is_number
+from deep_curiosity.transitions import Transition, check_counts, check_moderate, is_number
 
 Whitening = Literal["moments", "robust", "saturating"]
 Members = Literal["round_robin", "all"]
@@ -238,15 +238,26 @@ class DynamicsEnsemble(nn.Module):
         """Update the statistics that whiten observations, features and changes.
 
         Raises:
-            ValueError: If a feature is NaN or infinite. The statistics are then as before.
+            ValueError: If a feature is NaN, infinite or beyond 1e14. The statistics are then as
+                before.
         """
         before = self._featured(transition.observation)
         after = self._featured(transition.next_observation)
         if self.feature_moments is not None:
-            check_finite(features=torch.cat([before, after]))
+            check_moderate(features=torch.cat([before, after]))
             self.feature_moments.update(before)
         self.observation_moments.update(transition.observation)
         self.change_moments.update(after - before)
+
+    @torch.no_grad()
+    def check_features(self, observation: Float[Tensor, "batch observation_dim"]) -> None:
+        """Reject observations whose features cannot be computed with.
+
+        Raises:
+            ValueError: If a feature is NaN, infinite or beyond 1e14.
+        """
+        if self.features is not None:
+            check_moderate(features=self._featured(observation))
 
     def metrics(self) -> dict[str, Tensor]:
         """Held-out negative log-likelihood in nats, and coverage of the 90 % interval."""

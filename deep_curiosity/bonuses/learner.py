@@ -41,8 +41,9 @@ class BonusLearner(nn.Module):
         self.bonus = bonus
         check_counts(update_interval=update_interval)
         self.every = Every(update_interval)
-        parameters = [part for part in bonus.parameters() if part.requires_grad]
+        parameters = self._trained_parameters()
         self.optimizer = Adam(parameters, learning_rate) if parameters else None
+        self.register_load_state_dict_post_hook(_step_what_was_loaded)
 
     def learn(self, transition: Transition, policy: Policy | None = None) -> None:
         """Show the bonus a batch, and at every `update_interval`-th call take a gradient step.
@@ -70,3 +71,12 @@ class BonusLearner(nn.Module):
         check_transition_kind(transition)
         observation, action, _, next_observation, *_ = transition
         return self.bonus(observation, action, next_observation)
+
+    def _trained_parameters(self) -> list[nn.Parameter]:
+        return [part for part in self.bonus.parameters() if part.requires_grad]
+
+
+def _step_what_was_loaded(learner: BonusLearner, _: object) -> None:
+    """Give the optimiser the parameters of now: with `assign`, loading puts others there."""
+    if learner.optimizer is not None:
+        learner.optimizer.replace_targets(learner._trained_parameters())

@@ -181,7 +181,9 @@ class Adam(nn.Module):
     and leaves no trace in them, and `torch.compile` can take the whole step into its graph.
 
     Args:
-        parameters: What is stepped, in place.
+        parameters: What is stepped, in place. Where others take their place in the part, as by
+            `load_state_dict(..., assign=True)`, it must be told so by `replace_targets`; an agent
+            and a `BonusLearner` tell it where they are loaded as a whole.
         learning_rate: Step size.
 
     Reference: Kingma & Ba, "Adam: A Method for Stochastic Optimization" (2015).
@@ -204,10 +206,22 @@ class Adam(nn.Module):
         self._correct_next()
 
     def step(self, loss: Tensor) -> None:
-        """Take one step down the gradient of a loss."""
-        gradients = torch.autograd.grad(loss, self.targets)
+        """Take one step down the gradient of a loss.
+
+        Raises:
+            ValueError: If the loss does not depend on every parameter.
+        """
+        # a graph is made of this as torch has it by default, and says so itself
+        allow_unused = not torch.compiler.is_compiling()
+        gradients = torch.autograd.grad(loss, self.targets, allow_unused=allow_unused)
         means, squares = [], []
         for number in range(len(self.targets)):
+            if gradients[number] is None:
+                raise ValueError(
+                    "`loss` must depend on every parameter that is stepped, got one that "
+                    f"leaves out number {number} of {len(self.targets)}: after "
+                    "`load_state_dict(..., assign=True)` of a part, call `replace_targets`."
+                )
             means.append(getattr(self, f"mean_{number}"))
             squares.append(getattr(self, f"square_{number}"))
         with torch.no_grad():
@@ -232,6 +246,19 @@ class Adam(nn.Module):
                 )
             self.count.copy_(self.count + 1)
             self._correct_next()
+
+    def replace_targets(self, parameters: Iterable[nn.Parameter]) -> None:
+        """Step others from now on, which have taken the place of those before one by one.
+
+        Args:
+            parameters: In the order in which the others were given, of the same shapes.
+
+        Raises:
+            AttributeError: If they are others, and those before are part of a compiled update.
+        """
+        targets: list[Tensor] = list(parameters)
+        if any(new is not old for new, old in zip(targets, self.targets, strict=True)):
+            self.targets = targets
 
     def _step_in_graph(
         self, gradients: tuple[Tensor, ...], means: list[Tensor], squares: list[Tensor]

@@ -3,6 +3,7 @@ import math
 import re
 from copy import deepcopy
 
+import numpy as np
 import pytest
 import torch
 from torch.distributions import Independent, Normal, TransformedDistribution
@@ -14,6 +15,7 @@ from deep_curiosity.agent.sac import CuriousSAC, sample_hunger
 from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.bonuses.baselines import ConstantBonus
 from deep_curiosity.gaussians import DiagonalMixture
+from deep_curiosity.speed.compile import seal_modules
 from deep_curiosity.transitions import Sequences, Transition, as_sequences
 
 TEMPERATURE, DISCOUNT = 0.3, 0.9
@@ -677,6 +679,25 @@ def test_an_agent_restored_from_another_shares_nothing_with_it():
     assert_same_state(restored, kept)
 
 
+@pytest.mark.parametrize("options", [{}, {"temperature": "constant:0.1"}, {"prior": "learned"}])
+def test_an_agent_goes_on_from_parameters_that_were_assigned_to_it(options):
+    agent, resumed = small_agent(**options), small_agent(**options)
+    train(agent, 3, seed=1)
+    resumed.load_state_dict(deepcopy(agent.state_dict()), assign=True)
+    for one in (agent, resumed):
+        train(one, 3, seed=2)
+    assert_same_state(agent, resumed)
+
+
+def test_parameters_are_not_assigned_to_an_agent_whose_update_is_compiled():
+    agent = small_agent()
+    state = deepcopy(agent.state_dict())
+    seal_modules(agent)
+    agent.load_state_dict(state)
+    with pytest.raises(AttributeError, match="`targets` of this Adam is part of a compiled"):
+        agent.load_state_dict(state, assign=True)
+
+
 def test_the_same_seed_trains_the_same_agent():
     agents = []
     for _ in range(2):
@@ -884,6 +905,37 @@ def test_where_conditioned_policy_and_critics_are_given_the_hunger_and_nothing_e
 def test_hunger_must_be_one_number_or_one_for_each():
     with pytest.raises(ValueError, match=r"`hunger` must be one number or 4, got shape \(1,\)"):
         conditioned_agent().policy_input(torch.randn(4, 3), torch.tensor([0.5]))
+
+
+@pytest.mark.parametrize(
+    ("hunger", "error", "message"),
+    [
+        (math.nan, ValueError, r"`hunger` must lie in \[0, 1\] where conditioned, got nan"),
+        (7.0, ValueError, r"`hunger` must lie in \[0, 1\] where conditioned, got 7.0"),
+        (torch.tensor([0.5, -1.0]), ValueError, r"`hunger` must lie in .*, got -1.0"),
+        ([0.5, math.inf], ValueError, r"`hunger` must lie in .*, got inf"),
+        ([0.5] * 3, ValueError, r"`hunger` must be one number or 2, got shape \(3,\)"),
+        ("half", TypeError, "`hunger` must be a number, or one for each .*, got 'half'"),
+    ],
+)
+def test_a_hunger_to_act_by_that_is_none_is_refused(hunger, error, message):
+    with pytest.raises(error, match=message):
+        conditioned_agent().act(torch.randn(2, 3), hunger=hunger)
+
+
+def test_a_hunger_to_act_by_is_a_number_an_array_or_a_tensor():
+    agent, observation = conditioned_agent(), torch.randn(2, 3)
+    for hunger in (0.25, np.array([0.25, 0.25]), [0.25, 0.25], torch.full((2,), 0.25).double()):
+        action = agent.act(observation, deterministic=True, hunger=hunger)
+        assert action.dtype == torch.float32
+        assert action.equal(agent.act(observation, deterministic=True, hunger=torch.tensor(0.25)))
+    assert not action.equal(agent.act(observation, deterministic=True))
+
+
+def test_an_agent_that_is_not_conditioned_leaves_the_hunger_aside():
+    agent, observation = small_agent(), torch.randn(2, 3)
+    action = agent.act(observation, deterministic=True)
+    assert agent.act(observation, deterministic=True, hunger=torch.tensor(7.0)).equal(action)
 
 
 def test_relabelled_hungers_cover_the_range_with_both_its_ends():
@@ -1138,6 +1190,55 @@ def test_a_bonus_teaches_the_same_as_a_tensor_and_as_a_function(num_steps, optio
     steps = as_sequences(batch).steps
     computed = bonus(steps.observation, steps.action, steps.next_observation)
     assert_same_state(updated(agent, batch, bonus), updated(agent, batch, computed))
+
+
+def spoiled_bonus(spoil):
+    """A function like a bonus, with its answer spoiled."""
+    return lambda observation, action, next_observation=None: spoil(action[:, 0].clone())
+
+
+def with_row(row, value):
+    return lambda bonus: bonus.index_fill(0, torch.tensor([row]), value)
+
+
+BAD_BONUSES = {
+    "nan": (with_row(3, math.nan), ValueError, r"`bonus` must be finite, got nan in row 3"),
+    "infinite": (with_row(3, math.inf), ValueError, r"`bonus` must be finite, got inf in row 3"),
+    "huge": (with_row(3, -1e25), ValueError, r"`bonus` must lie within 1e\+14 of zero"),
+    "float64": (torch.Tensor.double, TypeError, r"`bonus` must be a tensor of .*32, got torch.f"),
+    "a column": (lambda b: b.unsqueeze(-1), ValueError, r"`bonus` must have shape \(32,\).*32, 1"),
+    "one row less": (lambda b: b[1:], ValueError, r"`bonus` must have shape \(32,\).*got \(31,\)"),
+    "a float": (lambda b: 1.0, TypeError, r"`bonus` must be a tensor of torch.float32, got float"),
+    "nothing": (lambda b: None, TypeError, r"`bonus` must be a tensor of .*, got NoneType"),
+}
+
+
+@pytest.mark.parametrize("reason", BAD_BONUSES)
+@pytest.mark.parametrize("curiosity_discount", [0.0, 0.97])
+def test_what_a_bonus_function_returns_is_refused_before_a_policy_learns_it(
+    reason, curiosity_discount
+):
+    spoil, error, message = BAD_BONUSES[reason]
+    agent = small_agent(curiosity_discount=curiosity_discount)
+    policy, stds = copies(agent.policy.parameters()), agent.value_stds.clone()
+    with pytest.raises(error, match=message):
+        agent.update(random_transition(), spoiled_bonus(spoil))
+    assert equal(agent.policy.parameters(), policy)
+    assert agent.value_stds[1] == stds[1]
+    assert agent.update(random_transition(), PushingBonus(1.0))["policy_loss"].isfinite()
+
+
+def test_what_a_bonus_function_does_not_know_behind_the_first_step_ends_the_sum():
+    agent, batch = small_agent(curiosity_steps=3), random_sequences(3)
+    unknown = torch.arange(96) == 50
+
+    def bonus(observation, action, next_observation):
+        return action[:, 0].masked_fill(unknown, math.nan)
+
+    computed = bonus(*batch.steps[:2], None)
+    assert_same_state(updated(agent, batch, bonus), updated(agent, batch, computed))
+    with pytest.raises(ValueError, match="`bonus` must be finite, got nan in row 3"):
+        agent.update(batch, spoiled_bonus(with_row(3, math.nan)))
 
 
 def test_where_no_critic_learns_it_a_bonus_that_is_a_tensor_is_refused():

@@ -71,6 +71,9 @@ class FixedDynamics(nn.Module):
         log_var = torch.full_like(loc, 2 * self.log_std)
         return DiagonalMixture(loc, log_var, torch.zeros(loc.shape[:-1]))
 
+    def check_features(self, observation):
+        pass
+
     def observe(self, transition):
         pass
 
@@ -882,3 +885,26 @@ def test_the_default_bonus_is_that_of_its_parts():
     assert_unchanged(by_name, of_parts.state_dict())
     pair = batch.observation, batch.action
     assert by_name(*pair).equal(of_parts(*pair))
+
+
+def root_features(observation):
+    """NaN where an observation is negative, which no check of observations finds."""
+    return observation.sqrt()
+
+
+@pytest.mark.parametrize("watchful", [True, False])
+@pytest.mark.parametrize("visited", [True, False])
+def test_features_that_are_refused_change_nothing(watchful, visited):
+    bonus = CuriosityBonus.default(
+        3, 2, hidden_dims=(8,), refresh_interval=1, features=root_features
+    )
+    good, bad = random_transition(), random_transition()
+    for batch in (good, bad):
+        batch.observation.abs_(), batch.next_observation.abs_()
+    bad.observation[3, 1] = -1.0
+    if watchful:
+        bonus.observe(good)
+    before = copied(bonus.state_dict())
+    with pytest.raises(ValueError, match=r"`features` must be finite, got .* in row 3"):
+        bonus.observe(good, visited=bad) if visited else bonus.observe(bad)
+    assert_unchanged(bonus, before)

@@ -1,3 +1,5 @@
+from copy import deepcopy
+
 import pytest
 import torch
 
@@ -70,3 +72,16 @@ def test_its_state_is_all_there_is():
 def test_what_is_out_of_range_is_rejected(options, message):
     with pytest.raises(ValueError, match=message):
         small(**options)
+
+
+def test_a_learner_goes_on_from_parameters_that_were_assigned_to_it():
+    torch.manual_seed(0)
+    first, second = (BonusLearner(make_bonus("rnd", 3, 2, hidden_dims=(8,))) for _ in range(2))
+    batch = transition()
+    first.learn(batch)
+    second.load_state_dict(deepcopy(first.state_dict()), assign=True)
+    for learner in (first, second):
+        learner.learn(batch)
+    assert first.optimizer.count == second.optimizer.count == 2
+    for name, value in second.state_dict().items():
+        assert value.equal(first.state_dict()[name])

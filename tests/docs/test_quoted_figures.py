@@ -327,14 +327,8 @@ def test_what_is_said_of_the_goals_is_what_was_measured():
     ]
     said = "return being the larger with probability {:.2f} (an interval from {:.2f} to {:.2f})"
     assert said.format(*probability_of_improvement(*groups)) in page
-    never = math.inf
     first = {
-        key: np.median(
-            [
-                never if row["first_success_step"] is None else row["first_success_step"]
-                for row in own
-            ]
-        )
+        key: np.median([row["first_success_step"] or math.inf for row in own])
         for key, own in grouped(rows, "task", "agent").items()
     }
     sooner = {task for task, _ in first if first[task, agents[0]] < first[task, agents[1]]}

@@ -708,6 +708,19 @@ def test_unbounded_actions_are_refused():
         CuriosityTransform(LevelBonus(), action_spec=Unbounded((1,)))
 
 
+@pytest.mark.parametrize("bonus", [LevelBonus(), "curiosity", 3, nn.Linear(1, 1)])
+@pytest.mark.parametrize(
+    "make", [CuriosityTransform, BonusLoss, lambda bonus: make_loss(bonus=bonus)]
+)
+@pytest.mark.filterwarnings("ignore")
+def test_what_is_no_bonus_is_refused_at_once(make: Callable, bonus: object):
+    if isinstance(bonus, Bonus):
+        assert make(bonus).out_keys
+        return
+    with pytest.raises(TypeError, match=r"`bonus` must be a Bonus.*, got ('cur|3|Linear\()"):
+        make(bonus)
+
+
 def test_an_empty_range_is_refused():
     with pytest.raises(
         ValueError, match=r"`low` must be finite and below `high`, got 1.0 and 1.0"

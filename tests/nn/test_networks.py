@@ -133,3 +133,17 @@ def test_an_optimiser_restored_from_its_state_dict_goes_on_bit_for_bit():
         if step >= 4:
             restored.step((other - 3).square().sum())
     assert one.equal(other)
+
+
+def test_a_part_whose_parameters_were_replaced_is_not_stepped_in_silence():
+    part = nn.Linear(3, 1)
+    optimizer = Adam(part.parameters(), 0.1)
+    optimizer.step(part(torch.ones(4, 3)).sum())
+    part.load_state_dict({"weight": torch.zeros(1, 3), "bias": torch.zeros(1)}, assign=True)
+    before = {name: value.clone() for name, value in optimizer.state_dict().items()}
+    with pytest.raises(ValueError, match=r"`loss` must depend .* number 0 of 2: .*assign=True"):
+        optimizer.step(part(torch.ones(4, 3)).sum())
+    assert all(value.equal(before[name]) for name, value in optimizer.state_dict().items())
+    optimizer.replace_targets(part.parameters())
+    optimizer.step(part(torch.ones(4, 3)).sum())
+    assert part.weight.lt(0).all() and optimizer.count == 2

@@ -45,6 +45,8 @@ class BaselineBonus(Bonus):
 
     follows_visits: ClassVar[bool] = False
     """Whether `update_statistics` is given what was visited of late instead of the batch."""
+    asks_policy: bool = False
+    """Whether `update_statistics` is given actions of the policy of now, where there is one."""
 
     def __init__(
         self,
@@ -117,22 +119,24 @@ class BaselineBonus(Bonus):
         """Update the statistics from a batch, at every `refresh_interval`-th call.
 
         Raises:
-            TypeError: If a field has the wrong kind.
-            ValueError: If a field has the wrong shape or holds NaN or infinity. The statistics
-                are then as before.
+            TypeError: If a field, or what the policy returns, has the wrong kind.
+            ValueError: If a field, or what the policy returns, has the wrong shape or holds NaN or
+                infinity. The statistics are then as before.
         """
         if self.should_skip:
             self.skip()
             return
         self._check(transition)
-        self.observation_moments.update(transition.observation)
         scored, late = transition, transition
         if visited is not None and self.follows_visits:
             late = visited
-        self._check(late)
+            self._check(late)
+        fresh_action = self._ask_policy(late, policy)
+        self.observation_moments.update(transition.observation)
         if not self.ready:  # half of the first batch is remembered, the other half is scored
-            self.update_statistics(every_second(late, 0), policy)
+            self.update_statistics(every_second(late, 0), None)
             scored, late = every_second(transition, 1), every_second(late, 1)
+            fresh_action = None if fresh_action is None else fresh_action[1::2]
         if len(scored.action):  # none of a first batch of one: the next is then due at once
             self.every.count()
             observation, action, _, next_observation, *_ = scored
@@ -140,7 +144,8 @@ class BaselineBonus(Bonus):
             cuts = self.observation_moments.cuts
             is_absurd = cuts(observation) | cuts(next_observation)
             self.standardization.update(replaced_by_mean(score, is_absurd))
-            self.update_statistics(late, policy)  # only now: what is scored is not remembered yet
+            # only now: what is scored is not remembered yet
+            self.update_statistics(late, fresh_action)
 
     @property
     def should_skip(self) -> bool:
@@ -169,8 +174,14 @@ class BaselineBonus(Bonus):
         """Loss of the networks; zero where there are none."""
         return transition.reward.new_zeros((), requires_grad=True)
 
-    def update_statistics(self, transition: Transition, policy: Policy | None) -> None:
-        """Whatever else is kept of a batch, or of what was visited of late; nothing by default."""
+    def update_statistics(self, transition: Transition, fresh_action: Tensor | None) -> None:
+        """Whatever else is kept of a batch, or of what was visited of late; nothing by default.
+
+        Args:
+            transition: The batch, or what was visited.
+            fresh_action: `(batch, action_dim)`, what the policy of now would do there; `None`
+                where it is not known or `asks_policy` is False.
+        """
 
     def pair_features(self, observation: Tensor, action: Tensor) -> Tensor:
         """Whitened observation and action, as networks of pairs take them."""
@@ -179,6 +190,14 @@ class BaselineBonus(Bonus):
     @property
     def _dtype(self) -> torch.dtype:
         return self.observation_moments.mean.dtype
+
+    def _ask_policy(self, transition: Transition, policy: Policy | None) -> Tensor | None:
+        """Actions of the policy of now, if any are wanted, checked as those of the batch are."""
+        if policy is None or not self.asks_policy:
+            return None
+        action = policy(transition.observation)
+        self._check(transition._replace(action=action))
+        return action
 
     def _check(self, transition: Transition) -> None:
         check_transition(transition, self.observation_dim, self.action_dim, self._dtype)

@@ -6,7 +6,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from deep_curiosity.bonuses.base import Policy
 from deep_curiosity.bonuses.baselines.base import BaselineBonus, log_of_score
 from deep_curiosity.nn.networks import StackedMLP, frozen
 from deep_curiosity.nn.statistics import WHITENINGS
@@ -120,7 +119,7 @@ class DisagreementBonus(BaselineBonus):
         features = self.pair_features(transition.observation, transition.action)
         return self.ensemble.loss(features, change_of(transition))
 
-    def update_statistics(self, transition: Transition, policy: Policy | None) -> None:
+    def update_statistics(self, transition: Transition, fresh_action: Tensor | None) -> None:
         """Statistics of the changes."""
         self.ensemble.outcome_moments.update(change_of(transition))
 

@@ -4,7 +4,6 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-from deep_curiosity.bonuses.base import Policy
 from deep_curiosity.bonuses.baselines.base import BaselineBonus
 from deep_curiosity.transitions import Transition, check_counts
 
@@ -91,7 +90,7 @@ class HashCountBonus(BaselineBonus):
         count = self.counts.gather(1, slot).amin(0)
         return count.clamp(min=1).rsqrt()
 
-    def update_statistics(self, transition: Transition, policy: Policy | None) -> None:
+    def update_statistics(self, transition: Transition, fresh_action: Tensor | None) -> None:
         """Count the batch's next states; the first batch fixes the code."""
         moments = self.observation_moments
         self.code_loc.copy_(torch.where(self.is_fixed, self.code_loc, moments.mean))

@@ -3,7 +3,6 @@
 import torch
 from torch import Tensor
 
-from deep_curiosity.bonuses.base import Policy
 from deep_curiosity.bonuses.baselines.base import BaselineBonus
 from deep_curiosity.transitions import Transition, check_counts
 
@@ -95,7 +94,7 @@ class NearestNeighboursBonus(BaselineBonus):
         total = nearest.values.masked_fill(~known, 0.0).sum(-1)
         return torch.log1p(total / known.sum(-1).clamp(min=1))
 
-    def update_statistics(self, transition: Transition, policy: Policy | None) -> None:
+    def update_statistics(self, transition: Transition, fresh_action: Tensor | None) -> None:
         """Write the batch's next states over the oldest."""
         memory = self.states.shape[0]
         newest = transition.next_observation[-memory:]

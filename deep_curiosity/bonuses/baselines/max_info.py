@@ -6,7 +6,6 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from deep_curiosity.bonuses.base import Policy
 from deep_curiosity.bonuses.baselines.base import BaselineBonus
 from deep_curiosity.bonuses.baselines.disagreement import PointEnsemble, change_of
 from deep_curiosity.bonuses.weight_tuning import TunedWeight
@@ -68,7 +67,7 @@ class InformationGainBonus(BaselineBonus):
         if not (is_number(noise_std) and noise_std > 0):
             raise ValueError(f"`noise_std` must be positive and finite, got {noise_std}.")
         self.noise_std = noise_std
-        self.tune_weight = tune_weight
+        self.asks_policy = tune_weight
         self.tuned_weight = TunedWeight(learning_rate=weight_learning_rate)
         self.ensemble = PointEnsemble(
             observation_dim + action_dim,
@@ -98,13 +97,12 @@ class InformationGainBonus(BaselineBonus):
         features = self.pair_features(transition.observation, transition.action)
         return self.ensemble.loss(features, _change_and_reward(transition))
 
-    def update_statistics(self, transition: Transition, policy: Policy | None) -> None:
+    def update_statistics(self, transition: Transition, fresh_action: Tensor | None) -> None:
         """Statistics of the outcomes; and the step of the weight, where a policy is given."""
         self.ensemble.outcome_moments.update(_change_and_reward(transition))
-        if policy is None or not self.tune_weight:
+        if fresh_action is None:
             return
-        action = policy(transition.observation)
-        gain = self.standardization(self.score(transition.observation, action, None)).mean()
+        gain = self.standardization(self.score(transition.observation, fresh_action, None)).mean()
         self.tuned_weight.follow(gain, self.every.interval)
 
     def metrics(self) -> dict[str, Tensor]:

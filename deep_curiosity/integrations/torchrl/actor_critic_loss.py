@@ -69,7 +69,7 @@ class CuriousActorCriticLoss(SACLoss):
             `num_qvalue_nets`, `reduction` and others.
 
     Raises:
-        TypeError: If an option of `SACLoss` means nothing here.
+        TypeError: If an option of `SACLoss` means nothing here, or the bonus is none.
         ValueError: If a number is out of range, or a bonus to be maximised scores outcomes.
 
     Reference: Still & Precup (2012), equations (10), (14), (21); Haarnoja et al., "Soft

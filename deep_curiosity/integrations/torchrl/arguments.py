@@ -68,11 +68,14 @@ def check_numbers(curiosity_discount: float, hunger: float, prior: str) -> None:
 
 
 def check_differentiable(bonus: Bonus | None, curiosity_discount: float) -> None:
-    """Reject a bonus without gradient in the action, where the actor would need it.
+    """Reject a bonus that is none, or has no gradient in the action where the actor needs it.
 
     Raises:
+        TypeError: If it is something else than a `Bonus`.
         ValueError: If it scores outcomes and no critic is to learn it.
     """
+    if not (bonus is None or isinstance(bonus, Bonus)):
+        raise TypeError(f"`bonus` must be a Bonus or None, got {bonus!r}.")
     if bonus is not None and bonus.scores_outcomes and curiosity_discount == 0:
         raise ValueError(
             "`curiosity_discount` must be above 0 with a bonus that scores outcomes, "

@@ -34,6 +34,7 @@ class BonusLoss(LossModule):
         high: Highest action.
 
     Raises:
+        TypeError: If `bonus` is no `Bonus`.
         ValueError: If the actions have no finite range.
     """
 

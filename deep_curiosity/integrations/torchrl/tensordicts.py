@@ -34,9 +34,14 @@ class TransitionReader:
         bonus: Whose dtype and device are taken.
         keys: Where the parts of a transition are.
         box: Range of the actions.
+
+    Raises:
+        TypeError: If the bonus is none.
     """
 
     def __init__(self, bonus: Bonus, keys: TransitionKeys, box: ActionBox) -> None:
+        if not isinstance(bonus, Bonus):
+            raise TypeError(f"`bonus` must be a Bonus, got {bonus!r}.")
         self.bonus = bonus
         self.keys = keys
         self.box = box

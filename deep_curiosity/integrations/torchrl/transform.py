@@ -50,6 +50,7 @@ class CuriosityTransform(Transform):
         out_key: Where the bonus is written.
 
     Raises:
+        TypeError: If `bonus` is neither a `Bonus` nor a `BonusLearner`.
         ValueError: If the actions have no finite range.
     """
 
@@ -69,6 +70,8 @@ class CuriosityTransform(Transform):
         truncated_key: Key = "truncated",
         out_key: Key = "curiosity",
     ) -> None:
+        if not isinstance(bonus, Bonus | BonusLearner):
+            raise TypeError(f"`bonus` must be a Bonus or a BonusLearner, got {bonus!r}.")
         super().__init__(in_keys=[observation_key, action_key], out_keys=[out_key])
         self.source = bonus
         self.add_to_reward = add_to_reward

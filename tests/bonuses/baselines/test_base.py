@@ -16,8 +16,8 @@ class FirstEntryBonus(BaselineBonus):
     def score(self, observation, action, next_observation):
         return observation[:, 0]
 
-    def update_statistics(self, transition, policy):
-        self.batches.append((transition, policy))
+    def update_statistics(self, transition, fresh_action):
+        self.batches.append((transition, fresh_action))
 
 
 def transition(batch=8):
@@ -63,10 +63,37 @@ def test_batches_between_two_refreshes_are_only_counted():
     assert bonus.observation_moments.count == 24
 
 
-def test_statistics_are_given_the_policy():
-    bonus = FirstEntryBonus()
-    bonus.observe(transition(), torch.zeros_like)
-    assert bonus.batches[0][1] is torch.zeros_like
+class CuriousAboutThePolicy(FirstEntryBonus):
+    asks_policy = True
+
+
+def centre(observation):
+    return torch.zeros(len(observation), 1)
+
+
+def test_statistics_are_given_fresh_actions_where_they_ask_for_them():
+    bonus, batch = CuriousAboutThePolicy(), transition()
+    bonus.observe(batch, centre), bonus.observe(batch)
+    assert bonus.batches[0][1].equal(torch.zeros(8, 1)) and bonus.batches[1][1] is None
+    indifferent = FirstEntryBonus()
+    indifferent.observe(batch, lambda observation: pytest.fail("asked"))
+    assert indifferent.batches[0][1] is None
+
+
+class FollowsVisits(FirstEntryBonus):
+    follows_visits = True
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf")])
+def test_visited_states_that_are_refused_change_nothing(bad):
+    bonus, late = FollowsVisits(), transition()
+    bonus.observe(transition())
+    before = {name: value.clone() for name, value in bonus.state_dict().items()}
+    late.observation[3, 1] = bad
+    with pytest.raises(ValueError, match=r"`observation` must be finite.* in row 3"):
+        bonus.observe(transition(), visited=late)
+    assert all(value.equal(before[name]) for name, value in bonus.state_dict().items())
+    assert len(bonus.batches) == 1
 
 
 def test_pairs_are_whitened_observations_and_actions_as_they_are():

@@ -48,3 +48,25 @@ def test_one_member_cannot_disagree():
 def test_noise_without_width_is_rejected():
     with pytest.raises(ValueError, match="`noise_std` must be positive and finite, got 0"):
         InformationGainBonus(3, 2, noise_std=0.0)
+
+
+@pytest.mark.parametrize(
+    ("policy", "error", "message"),
+    [
+        (lambda o: torch.zeros(len(o), 3), ValueError, r"`action` must have shape \(batch, 2\)"),
+        (lambda o: torch.zeros(1, 2), ValueError, "one batch size.*'action': 1"),
+        (lambda o: torch.full((len(o), 2), math.nan), ValueError, "`action` must be finite"),
+        (lambda o: torch.zeros(len(o), 2).double(), TypeError, "`action` must be a tensor"),
+        (lambda o: [0.0, 0.0], TypeError, "`action` must be a tensor"),
+    ],
+)
+@pytest.mark.parametrize("watchful", [True, False])
+def test_a_bad_policy_is_rejected_and_changes_nothing(policy, error, message, watchful):
+    bonus = InformationGainBonus(3, 2, **SMALL)
+    if watchful:
+        bonus.observe(transition(), lambda observation: torch.zeros(len(observation), 2))
+    before = {name: value.clone() for name, value in bonus.state_dict().items()}
+    with pytest.raises(error, match=message):
+        bonus.observe(transition(), policy)
+    for name, value in bonus.state_dict().items():
+        torch.testing.assert_close(value, before[name], rtol=0, atol=0, equal_nan=True)
