@@ -6,6 +6,7 @@ from deep_curiosity.requirements import require_training
 require_training()
 
 import time
+import warnings
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -152,10 +153,14 @@ def _scalars_of(episode: Episode) -> dict[str, float]:
 
 
 def _plot(folder: Path) -> None:
-    """Leave the picture of the run in its folder."""
+    """Leave the picture of the run in its folder; without one the run is as good as with it."""
     from deep_curiosity.training.figures import plot_run  # here, as Matplotlib takes a second
 
-    plot_run(folder)
+    try:
+        plot_run(folder)
+    except Exception as error:
+        text = f"{folder} is whole, but its picture could not be drawn: {error!r}."
+        warnings.warn(text, stacklevel=3)
 
 
 def continue_run(

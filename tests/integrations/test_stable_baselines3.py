@@ -602,6 +602,12 @@ class Discrete(Clock):
             "`action_space` must be bounded",
         ),
         (
+            lambda: CuriousRolloutBuffer(
+                20, Clock.observation_space, spaces.Box(np.zeros(2), np.array([0.0, 1.0]))
+            ),
+            "`action_space` must have `low` below `high`",
+        ),
+        (
             lambda: make_agent(env=Image(), policy="CnnPolicy"),
             "`observation_space` must be a Box of vectors",
         ),

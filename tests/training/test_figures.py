@@ -100,3 +100,13 @@ def test_the_picture_holds_three_panels_and_is_that_of_its_run(tiny, tmp_path):
         pictures.append(picture[60:])
     assert pictures[0].shape == pictures[1].shape
     assert (pictures[0] != pictures[1]).any(-1).mean() > 0.001
+
+
+def test_a_picture_that_cannot_be_drawn_loses_no_run(tiny, monkeypatch):
+    def fails(folder):
+        raise RuntimeError("a port that is in use")
+
+    monkeypatch.setattr("deep_curiosity.training.figures.plot_run", fails)
+    with pytest.warns(UserWarning, match="is whole, but its picture could not be drawn: .*port"):
+        summary = train(tiny, show_progress=False)
+    assert summary["total_steps"] == tiny.run.total_steps

@@ -39,6 +39,10 @@ def bounded_space(space: spaces.Space) -> spaces.Box:
     box = _vectors("action_space", space)
     if not box.is_bounded():
         raise ValueError(f"`action_space` must be bounded, got {space}.")
+    if not (box.low < box.high).all():
+        raise ValueError(
+            f"`action_space` must have `low` below `high` in every entry, got {space}."
+        )
     return box
 
 
