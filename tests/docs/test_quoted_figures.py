@@ -276,13 +276,20 @@ def test_what_is_said_of_the_sparse_cartpole_is_what_its_runs_returned():
 
 def test_what_is_said_of_the_noisy_room_is_what_was_measured():
     page = text_of("docs/sweeps/README.md")
-    rows = rows_of("docs/sweeps/noise-curiosity.csv")
-    noisy, late = (
-        float(interquartile_mean(np.array([row[name] for row in rows])))
-        for name in ("noisy_time", "late_coverage")
+    figures = []
+    for name in ("noise-curiosity", "noise-uniform"):
+        rows = rows_of(f"docs/sweeps/{name}.csv")
+        assert len(rows) == 10
+        figures += [
+            f"{interquartile_mean(np.array([row[column] for row in rows])):.2f}"
+            for column in ("noisy_time", "early_coverage", "late_coverage")
+        ]
+    said = (
+        "{} times a uniform walk's time beside the noise, with {} of the cells visited early and "
+        "{} late."
     )
-    assert len(rows) == 10 and f"{late:.2f}" == "1.00"
-    assert f"{noisy:.2f} times a uniform walk's time beside the noise, with every cell" in page
+    assert said.format(*figures[:3]) in page
+    assert "these are {}, {} and {}.".format(*figures[3:]) in page
 
 
 def test_what_is_said_of_all_bonuses_is_what_their_runs_came_to():

@@ -13,6 +13,7 @@ from tests.docs.pages import ROOT
 FOLDERS = ("docs/study", "docs/development", "docs/results", "docs/sweeps")
 TABLES = {  # whose names are not those of their studies
     "noise-curiosity": "noise",
+    "noise-uniform": "noise",
     "harm-learned": "harm",
     "first_seed": "results",
     "one-nat": "development",

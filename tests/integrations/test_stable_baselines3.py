@@ -591,6 +591,9 @@ class Discrete(Clock):
     action_space = spaces.Discrete(2)
 
 
+FLAT = np.array([0.0, 1.0], np.float32)
+
+
 @pytest.mark.parametrize(
     ("make", "message"),
     [
@@ -603,7 +606,7 @@ class Discrete(Clock):
         ),
         (
             lambda: CuriousRolloutBuffer(
-                20, Clock.observation_space, spaces.Box(np.zeros(2), np.array([0.0, 1.0]))
+                20, Clock.observation_space, spaces.Box(np.zeros(2, np.float32), FLAT)
             ),
             "`action_space` must have `low` below `high`",
         ),
