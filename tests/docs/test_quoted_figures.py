@@ -345,5 +345,11 @@ def test_what_is_said_of_the_goals_is_what_was_measured():
 
 def test_a_constant_bonus_earns_nothing():
     assert "Neither run earns anything" in text_of("docs/study/README.md")
+    sparse = rows_of("docs/study/sparse.csv")
+    ours = [
+        row for row in sparse if (row["task"], row["agent"]) == ("PendulumSwingup", "curiosity")
+    ]
+    assert [row["solved"] for row in ours] == [1] * 10
+    assert "where curiosity solves ten of ten" in text_of("docs/study/README.md")
     rows = rows_of("docs/study/control.csv")
     assert len(rows) == 2 and all(abs(row["evaluation_return"]) < 0.01 for row in rows)
