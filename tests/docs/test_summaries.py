@@ -16,6 +16,7 @@ TABLES = {  # whose names are not those of their studies
     "noise-uniform": "noise",
     "harm-learned": "harm",
     "first_seed": "results",
+    "uniform_prior": "results",
     "one-nat": "development",
     "shared-prior": "development",
     "half-life-4": "development",
