@@ -15,7 +15,6 @@ TABLES = {  # whose names are not those of their studies
     "noise-curiosity": "noise",
     "noise-uniform": "noise",
     "harm-learned": "harm",
-    "first_seed": "results",
     "uniform_prior": "results",
     "one-nat": "development",
     "shared-prior": "development",
