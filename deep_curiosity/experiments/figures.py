@@ -64,13 +64,13 @@ def draw_curve(
 
 
 def label_beside(axes: Axes, ends: dict[tuple[str, str], float]) -> None:
-    """Names beside the ends of the curves, in their colours, none upon another."""
+    """Names beside the ends of the curves, in their colours, none upon another or the title."""
     low, high = axes.get_ylim()
-    place, above = -np.inf, 0.0
-    for (name, color), end in sorted(ends.items(), key=lambda item: item[1]):
-        lines = textwrap.wrap(name, LABEL_WIDTH)
-        half = LABEL_GAP * len(lines) / 2
-        place, above = max((end - low) / (high - low), place + above + half), half
+    ordered = sorted(ends.items(), key=lambda item: item[1])
+    labels = [textwrap.wrap(name, LABEL_WIDTH) for (name, _), _ in ordered]
+    halves = [LABEL_GAP * len(lines) / 2 for lines in labels]
+    places = _spread([(end - low) / (high - low) for _, end in ordered], halves)
+    for ((_, color), _), lines, place in zip(ordered, labels, places, strict=True):
         axes.annotate(
             "\n".join(lines),
             (1.02, place),
@@ -79,6 +79,24 @@ def label_beside(axes: Axes, ends: dict[tuple[str, str], float]) -> None:
             va="center",
             fontsize=9,
         )
+
+
+def _spread(wanted: Sequence[float], halves: Sequence[float]) -> list[float]:
+    """Places of labels that are neither upon another nor past the top, near those wanted.
+
+    Args:
+        wanted: Rising, in heights of the axes.
+        halves: Half of the height of each label.
+    """
+    places, free = [], -np.inf
+    for place, half in zip(wanted, halves, strict=True):
+        places.append(max(place, free + half))
+        free = places[-1] + half
+    free = 1.0
+    for number in reversed(range(len(places))):
+        places[number] = min(places[number], free - halves[number])
+        free = places[number] - halves[number]
+    return places
 
 
 def plot_columns(path: Path, study: Study, rows: Sequence[Row]) -> None:

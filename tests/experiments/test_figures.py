@@ -2,7 +2,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from deep_curiosity.experiments import figures
-from deep_curiosity.experiments.figures import plot_columns, plot_curves
+from deep_curiosity.experiments.figures import _spread, plot_columns, plot_curves
 from deep_curiosity.experiments.study import Study, Task
 from deep_curiosity.training import Config
 
@@ -62,3 +62,18 @@ def test_values_of_a_sweep_stand_along_an_axis(saved, tmp_path, make_rows):
     means = axes.lines[-1]
     assert means.get_xdata().tolist() == [0.5, 2.0] and means.get_ydata().tolist() == [1.0, 2.5]
     assert axes.get_xlabel() == "hunger"
+
+
+@pytest.mark.parametrize("wanted", [[0.99, 0.99, 1.0], [0.0, 0.5, 0.5], [0.2, 0.98], [-0.1, 0.3]])
+def test_labels_lie_neither_upon_another_nor_past_the_top(wanted):
+    halves = [0.03, 0.06, 0.03][: len(wanted)]
+    places = _spread(wanted, halves)
+    edges = [
+        edge
+        for place, half in zip(places, halves, strict=True)
+        for edge in (place - half, place + half)
+    ]
+    assert edges == pytest.approx(sorted(edges))
+    assert edges[-1] <= 1 + 1e-9
+    alone = _spread([0.4], [0.03])
+    assert alone == [0.4]
