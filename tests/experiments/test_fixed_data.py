@@ -16,14 +16,14 @@ def result_of(tiny, folder, **settings):
 
 
 def test_a_row_is_measured_at_every_interval(tiny, tmp_path):
-    rows = result_of(tiny, tmp_path, refresh_interval=1).rows
+    rows = result_of(tiny, tmp_path / "runs", refresh_interval=1).rows
     assert [row["updates"] for row in rows] == [30, 60]
     assert abs(rows[-1]["bonus_mean"]) < 1 and 0.3 < rows[-1]["bonus_std"] < 3
     assert 0 <= rows[-1]["draw_share"] <= 1
 
 
 def test_a_baseline_has_no_draw(tiny, tmp_path):
-    rows = result_of(tiny, tmp_path, bonus="rnd", refresh_interval=1).rows
+    rows = result_of(tiny, tmp_path / "runs", bonus="rnd", refresh_interval=1).rows
     assert set(rows[-1]) == {"updates", "bonus_mean", "bonus_std"}
 
 

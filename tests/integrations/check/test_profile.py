@@ -45,5 +45,5 @@ def test_what_is_not_finite_is_counted_and_left_out():
 
 
 def test_an_environment_of_nothing_but_nan_is_an_error():
-    with pytest.raises(ValueError, match="observations must be finite"):
+    with pytest.raises(ValueError, match="`observation` must be finite"):
         profile(Scripted([(np.nan, 1)] * 3), num_steps=3)
