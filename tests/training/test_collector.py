@@ -112,7 +112,7 @@ def test_an_environment_that_does_not_repeat_itself_is_reported():
     collector = Collector(Counter(), seed=0)
     steps(collector, 3)
     restored = Collector(Counter(drift=1.0), seed=0)
-    with pytest.raises(RuntimeError, match="must repeat an episode from its seed and actions"):
+    with pytest.raises(RuntimeError, match="that repeats an episode from its seed and actions"):
         restored.load_state_dict(collector.state_dict())
 
 
@@ -182,7 +182,7 @@ def test_environments_that_do_not_repeat_themselves_are_reported():
     collector = Collector(counters(9, 9), seed=0)
     vector_steps(collector, 3)
     other = Collector(counters(9, 9), seed=1)
-    with pytest.raises(RuntimeError, match="must repeat an episode from its seed and actions"):
+    with pytest.raises(RuntimeError, match="that repeats an episode from its seed and actions"):
         other.load_state_dict(collector.state_dict())
 
 
