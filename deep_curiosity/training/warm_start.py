@@ -46,7 +46,7 @@ def begin_from(config: Config, learner: Learner, collector: Collector) -> None:
         _check_sizes(learner.bonus.state_dict(), state["bonus"], config, there)
         learner.bonus.load_state_dict(state["bonus"])
     usual = checkpoint["collector"].get("usual_observation")
-    if usual is not None:  # of a checkpoint that is older
+    if usual is not None:  # a checkpoint that is older has none
         collector.begin_from(usual.numpy())
     if config.run.init_replay:
         _check_num_envs(config, there)
