@@ -48,10 +48,11 @@ class DynamicsEnsemble(nn.Module):
         whitening: Unit of observations and changes: `"moments"` is their mean and standard
             deviation; `"robust"` median and interquartile range, which no tail moves;
             `"saturating"` makes what is far from the usual count by its logarithm, see
-            `SaturatingMoments`. Predictions are Gaussians of the whitened state, to first order
-            in their width where it saturates; a divergence of them is that of the states
-            themselves, since the map can be inverted. What is not invariant is `noise_floor`: the
-            resolution becomes coarser as the state lies further out.
+            `SaturatingMoments`. Predictions are Gaussians of the whitened state: the two points
+            one standard deviation from the predicted change are carried through the curves, and
+            lie one standard deviation from the whitened state. A divergence of them is that of
+            the states themselves, since the map can be inverted. What is not invariant is
+            `noise_floor`: the resolution becomes coarser as the state lies further out.
         features: Maps observations to what of the next one is predicted, in units of its own; the
             whole observation when `None`. Inputs are whole observations either way. A module is
             kept in `state_dict`, set to evaluation, and its parameters are frozen for good: what
@@ -133,13 +134,14 @@ class DynamicsEnsemble(nn.Module):
         """
         change = self._whitened_change(observation, action)
         moments = self.feature_moments or self.observation_moments
-        step = self.change_moments.denormalize(change.loc)
-        state = self._featured(observation).unsqueeze(-2) + step
-        log_ratio = (self.change_moments.scale / moments.scale).log() + moments.log_slope(state)
-        log_ratio = log_ratio - self.change_moments.log_slope(step)
-        log_floor = torch.full_like(change.log_var, 2 * math.log(self.noise_floor))
-        log_var = torch.logaddexp(change.log_var + 2 * log_ratio, log_floor)
-        return DiagonalMixture(moments.normalize(state), log_var, change.log_weight)
+        state = self._featured(observation).unsqueeze(-2)
+        width = torch.exp(0.5 * change.log_var)
+        low, high = (
+            moments.normalize(state + self.change_moments.denormalize(end))
+            for end in (change.loc - width, change.loc + width)
+        )
+        log_var = torch.log((0.5 * (high - low)).square() + self.noise_floor**2)
+        return DiagonalMixture(0.5 * (low + high), log_var, change.log_weight)
 
     def round_robin(
         self,

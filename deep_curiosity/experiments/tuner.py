@@ -13,6 +13,7 @@ import json
 import math
 import sys
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -329,12 +330,19 @@ def run_cell(config: Config, stop: Path) -> None:
 
 
 def read_evaluations(folder: Path) -> dict[int, float]:
-    """Return of a run at each step of evaluation; one that was repeated counts once."""
+    """Return of a run at each step of evaluation; one that was repeated counts once.
+
+    Lines that a crash has torn are passed over.
+    """
     path = folder / EVALUATIONS
     if not path.exists():
         return {}
-    whole = path.read_text().split("\n")[:-1]
-    return dict(sorted(json.loads(line) for line in whole))
+    found: dict[int, float] = {}
+    for line in path.read_text().split("\n")[:-1]:
+        with suppress(ValueError, TypeError):
+            step, value = json.loads(line)
+            found[step] = value
+    return dict(sorted(found.items()))
 
 
 def write_search(study: optuna.Study, out: Path) -> None:

@@ -108,10 +108,6 @@ class RunningMoments(nn.Module):
         """What `normalize` makes this value of, where it cuts nothing."""
         return self.center + self.scale * value
 
-    def log_slope(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch dim"]:
-        """Log of the slope of `normalize` there, in units of `1 / scale`; the cut is left out."""
-        return torch.zeros_like(value)
-
     def _merge(self, value: Tensor) -> None:
         if self.reach < math.inf:
             bound = torch.where(self.count < 2, torch.inf, self.reach * self.scale)
@@ -208,10 +204,6 @@ class SaturatingMoments(RobustMoments):
         """What `normalize` makes this value of, up to ten thousand scales from the centre."""
         bounded = value.clamp(-WHITENED_BOUND, WHITENED_BOUND)  # float32 holds no sinh of 90
         return self.center + self.scale * torch.sinh(bounded)
-
-    def log_slope(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch dim"]:
-        """Log of the slope of `normalize` there, in units of `1 / scale`: at most 0."""
-        return -0.5 * torch.log1p(((value - self.center) / self.scale).square())
 
     def _measure(self, sample: Float[Tensor, "rows dim"]) -> None:
         self.median.copy_(sample.mT.contiguous().median(-1).values)

@@ -7,7 +7,7 @@ from torch.distributions import Normal
 
 from deep_curiosity.bonuses import dynamics
 from deep_curiosity.bonuses.dynamics import DynamicsEnsemble, is_held_out, soft_clamp
-from deep_curiosity.gaussians import DiagonalMixture
+from deep_curiosity.gaussians import DiagonalMixture, gaussian_kl
 from deep_curiosity.transitions import Transition
 
 
@@ -581,10 +581,11 @@ def test_what_is_predicted_is_where_the_state_goes(whitening):
     change = dynamics.change_moments.normalize(6 * push)  # as a model that has learned it says it
     bias = dynamics.network.layers[-1].bias.data
     dynamics.network.layers[-1].weight.data.zero_()
-    bias[..., 0], bias[..., 1] = change[0, 0], -4.0
+    bias[..., 0], bias[..., 1] = change[0, 0], -7.0
     predicted = dynamics(at, push)
     expected = dynamics.observation_moments.normalize(at + 6 * push)
-    torch.testing.assert_close(predicted.loc.squeeze(-2), expected.expand(2, -1, -1))
+    expected = expected.expand(2, -1, -1)
+    torch.testing.assert_close(predicted.loc.squeeze(-2), expected, rtol=0, atol=1e-4)
     step = 1e-3  # by how much the whitened next state moves with the whitened change
     bias[..., 0] += step
     slope = (dynamics(at, push).loc - predicted.loc) / step
@@ -592,3 +593,24 @@ def test_what_is_predicted_is_where_the_state_goes(whitening):
     spread = (predicted.log_var.exp() - floor).clamp(min=0).sqrt()
     std = (0.5 * dynamics._whitened_change(at, push).log_var).exp()
     torch.testing.assert_close(spread, std * slope, rtol=0.02, atol=1e-4)
+
+
+@pytest.mark.parametrize("whitening", ["moments", "robust", "saturating"])
+def test_a_wide_prediction_is_as_wide_where_units_saturate(whitening):
+    """A channel that rests but for a fifth of all rows, where nobody can tell what it does."""
+    torch.manual_seed(0)
+    dynamics = ensemble_of(1, 1, num_members=2, whitening=whitening)
+    noise = torch.where(torch.rand(8_000, 2) < 0.2, 2 * torch.rand(8_000, 2) - 1, 0.0)
+    dynamics.observe(transition(noise[:, :1], torch.zeros(8_000, 1), noise[:, 1:]))
+    at = torch.tensor([[-0.05], [0.0], [0.05]])  # as a model errs that tells noise from noise
+    bias = dynamics.network.layers[-1].bias.data
+    dynamics.network.layers[-1].weight.data.zero_()
+    bias[..., 0], bias[..., 1] = 0.0, 1.0
+    predicted = dynamics(at, torch.zeros(3, 1))
+    loc, log_var = predicted.loc[0, :, 0], predicted.log_var[0, :, 0]
+    width = dynamics._whitened_change(at, torch.zeros(3, 1)).log_var.mul(0.5).exp()[0, 0, 0]
+    ends = torch.stack([-width, width])
+    low, high = dynamics.observation_moments.normalize(dynamics.change_moments.denormalize(ends))
+    std = log_var.mul(0.5).exp()
+    torch.testing.assert_close(std, ((high - low) / 2).expand(3, 1), rtol=0.05, atol=0)
+    assert gaussian_kl(loc[0], log_var[0], loc[2], log_var[2]) < 0.05

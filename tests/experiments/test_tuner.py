@@ -272,3 +272,8 @@ def test_a_storage_that_cannot_be_opened_is_refused(search_in, calls, tmp_path, 
     ) as got:
         search_in(tmp_path, storage=storage)
     assert "\n" not in str(got.value) and not calls
+
+
+def test_lines_that_a_crash_has_torn_are_passed_over(tmp_path):
+    (tmp_path / tuner.EVALUATIONS).write_text("[200, 2.0]\n[1[100, 1.0]\n3\n[200, 2.5]\n[300, 3")
+    assert tuner.read_evaluations(tmp_path) == {200: 2.5}

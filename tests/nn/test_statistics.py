@@ -311,14 +311,6 @@ def test_far_values_count_by_their_logarithm_and_the_map_can_be_inverted():
     torch.testing.assert_close(back, value, rtol=1e-3, atol=1e-3)
 
 
-def test_the_slope_of_a_saturating_map_is_that_of_its_curve():
-    moments = saturating(torch.randn(2_000, 3))
-    value = torch.tensor([[-4.0, 0.3, 20.0]], requires_grad=True)
-    (slope,) = torch.autograd.grad(moments.normalize(value).sum(), value)
-    expected = moments.log_slope(value).exp() / moments.scale
-    torch.testing.assert_close(slope, expected)
-
-
 def test_a_bonus_is_silent_until_it_has_statistics_and_cut_at_five_deviations():
     standardization = Standardization(weight=0.5, center=True, scale=True)
     assert standardization(torch.tensor([7.0])).item() == 0
