@@ -15,6 +15,7 @@ NUM_DRAWN = 2_048  # rows: an interquartile range of so many is right to 3 %
 QUARTILES = torch.tensor([0.25, 0.5, 0.75])
 NORMAL_RANGE = 1.349  # interquartile range of a standard Gaussian
 FAR = 3.0  # scales beyond which a value is as good as at this distance, to a saturating scale
+MOST_ROWS = 0.5  # share at which a feature counts as one that rests
 NORMAL_SHARE = 0.99501  # mean of min(z^2, FAR^2) of a standard Gaussian
 SCALE_STEPS = 12  # of the fixed-point iteration for that scale, from above
 MORE_SCALE_STEPS, FALLING = 24, 0.9  # where it still falls, as with an absurd row among few
@@ -187,7 +188,8 @@ class SaturatingMoments(RobustMoments):
     further, whatever it was. The scale solves `mean(min((x - median)^2, 9 scale^2)) = scale^2`, up
     to a factor that makes it the standard deviation of a Gaussian: no row counts for more than
     three scales, so a thousandth of all rows cannot coarsen the sight of the others, while a tenth
-    of them widens it.
+    of them widens it. A feature that rests at its median in most rows is measured in the others
+    alone: beside so many zeros, all that it does when it moves would count as far.
 
     Args:
         dim: Number of features.
@@ -208,11 +210,14 @@ class SaturatingMoments(RobustMoments):
     def _measure(self, sample: Float[Tensor, "rows dim"]) -> None:
         self.median.copy_(sample.mT.contiguous().median(-1).values)
         square = (sample - self.median).square()
-        var = square.mean(0)
+        rests = square <= VARIANCE_FLOOR
+        counted = (~rests | (rests.float().mean(0) < MOST_ROWS)).to(square)
+        counted = counted / counted.sum(0).clamp(min=1)
+        var = (counted * square).sum(0)
         for _ in range(SCALE_STEPS):
-            var = torch.minimum(square, FAR**2 * var).mean(0) / NORMAL_SHARE
+            var = (counted * torch.minimum(square, FAR**2 * var)).sum(0) / NORMAL_SHARE
         for _ in range(MORE_SCALE_STEPS):
-            further = torch.minimum(square, FAR**2 * var).mean(0) / NORMAL_SHARE
+            further = (counted * torch.minimum(square, FAR**2 * var)).sum(0) / NORMAL_SHARE
             falls = further < FALLING * var
             if not falls.any():
                 break

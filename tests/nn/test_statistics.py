@@ -302,6 +302,23 @@ def test_a_tenth_of_all_rows_widens_a_saturating_scale():
     assert 0.2 < saturating(value).scale.item() < 0.5
 
 
+@pytest.mark.parametrize("moves", [0.01, 0.05, 0.1, 0.3])
+def test_a_feature_that_mostly_rests_is_measured_where_it_moves(moves):
+    """Its unit collapsed where fewer than a ninth of all rows moved."""
+    torch.manual_seed(0)
+    value = torch.where(torch.rand(8_000, 1) < moves, 2 * torch.rand(8_000, 1) - 1, 0.0)
+    assert saturating(value).scale.item() == pytest.approx(1 / math.sqrt(3), rel=0.25)
+
+
+def test_a_flag_that_is_rarely_set_has_its_own_size_as_unit():
+    flag = torch.zeros(4_000, 1)
+    flag[::50] = 1.0
+    moments = saturating(flag)
+    assert moments.normalize(torch.tensor([[0.0], [1.0]])).flatten().tolist() == pytest.approx(
+        [0.0, math.asinh(1.0)], rel=0.01
+    )
+
+
 def test_far_values_count_by_their_logarithm_and_the_map_can_be_inverted():
     moments = saturating(torch.randn(2_000, 1))
     value = torch.tensor([[0.01], [1e2], [1e3], [1e4]])
