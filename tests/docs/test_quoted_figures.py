@@ -249,6 +249,42 @@ def test_what_is_said_of_other_half_lives_is_what_was_measured():
     assert f"solved in {solved[0]} of 16 runs, in {solved[1]} by default" in page
 
 
+def test_what_is_said_of_how_far_curiosity_looks_is_what_was_measured():
+    page = text_of("docs/development/README.md")
+    names = ("development", "curiosity-steps-8", "curiosity-discount-99")
+    default, steps, discount = (f"docs/development/{name}.csv" for name in names)
+    area = {path: interquartile_means(path, "area") for path in (default, steps, discount)}
+
+    def solved(path, task):
+        return sum(row["solved"] for row in rows_of(path) if row["task"] == task)
+
+    pendulum, maze = ("PendulumSwingup", "default"), ("PointMaze", "default")
+    assert (
+        f"on the pendulum ({solved(steps, pendulum[0]):.0f} of 8 solved, area "
+        f"{area[steps][pendulum]:.0f} instead of {area[default][pendulum]:.0f}) and not in the "
+        f"maze ({solved(steps, maze[0]):.0f} of 8, {area[steps][maze]:.0f} instead of "
+        f"{area[default][maze]:.0f})"
+    ) in page
+    assert solved(discount, maze[0]) == 8
+    assert (
+        f"solves all 8 mazes, at an area of {area[discount][maze]:.0f}, and only "
+        f"{solved(discount, pendulum[0]):.0f} of 8 pendulums ({area[discount][pendulum]:.0f})"
+    ) in page
+    here, elsewhere = (
+        statistics.median_low(
+            row["solved_step"] or math.inf
+            for row in rows_of(path)
+            if (row["task"], row["agent"]) == key
+        )
+        for path, key in (
+            (default, maze),
+            ("docs/study/goals.csv", ("PointMaze, half the updates", "curiosity")),
+        )
+    )
+    assert (here, elsewhere) == (6_000, 12_000)
+    assert "at step 6 000 on these seeds, in the median, and at step 12 000 on the ten" in page
+
+
 def joint_areas(path):
     """Area over all tasks of each agent, as a summary has it, with two digits."""
     table = (ROOT / path).read_text().split("| all tasks |")[1].split("\n\n")[0]

@@ -20,6 +20,8 @@ TABLES = {  # whose names are not those of their studies
     "shared-prior": "development",
     "half-life-4": "development",
     "half-life-30": "development",
+    "curiosity-steps-8": "development",
+    "curiosity-discount-99": "development",
     "goals-shared-prior": "goals",
 }
 
