@@ -239,6 +239,11 @@ class AgentConfig(Group):
         return not isinstance(self.temperature, Schedule)
 
     @property
+    def follows_schedule(self) -> bool:
+        """Whether a setting goes with time, as a share of all steps."""
+        return any(isinstance(value, Schedule) for value in vars(self).values())
+
+    @property
     def actor_stride(self) -> int:
         """Rows of a batch from one that the policy learns from to the next."""
         return round(1 / self.actor_batch_fraction)

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 
 from deep_curiosity.experiments.figures import draw_curve, estimate_curve, label_beside
 from deep_curiosity.experiments.study import Row
-from deep_curiosity.training.config import IGNORED
-from deep_curiosity.training.log import CONFIG, PROGRESS, parse_progress, read_values
+from deep_curiosity.training.config import IGNORED, config_key
+from deep_curiosity.training.log import CONFIG, PROGRESS, SUMMARY, parse_progress, read_values
 
 TAGS = (
     "eval/return",
@@ -32,6 +32,10 @@ OF_EVERY_RUN = ("env_id", "bonus")
 ASSETS = files("deep_curiosity.experiments") / "assets"
 
 
+FoundRun = tuple[dict[str, Any], list[dict[str, float]]]
+"""Settings and rows of a run."""
+
+
 @dataclass(frozen=True)
 class RunCurves:
     """What a run logged.
@@ -41,12 +45,14 @@ class RunCurves:
         task: Its environment, with arguments.
         agent: What sets it apart from the other runs.
         rows: Rows of its progress.csv, as numbers; what is missing is NaN.
+        was_stopped: Whether it was ended before its steps were taken, as one that is solved.
     """
 
     folder: Path
     task: str
     agent: str
     rows: list[dict[str, float]]
+    was_stopped: bool = False
 
 
 def find_runs(paths: Iterable[Path]) -> list[Path]:
@@ -69,7 +75,8 @@ def read_runs(folders: Sequence[Path], group_by: Sequence[str] = ()) -> list[Run
 
     A folder that holds no run, or one whose progress.csv is damaged, is passed over with a
     warning; one whose last row is cut off, as it is being written, is read up to there, with a
-    warning. A folder without rows, such as an exported policy, is left out.
+    warning. A folder without rows, such as an exported policy, is left out. Of runs that differ
+    in nothing but where they lie the longest one counts, with a warning.
 
     Args:
         folders: Of the runs.
@@ -82,18 +89,43 @@ def read_runs(folders: Sequence[Path], group_by: Sequence[str] = ()) -> list[Run
     found = {folder: own for folder in folders if (own := _read_run(folder)) is not None}
     if not found:
         raise ValueError(f"`runs` must have logged something, got {len(folders)} that have not.")
+    found = _each_once(found)
     settings = [values for values, _ in found.values()]
     known = {name for values in settings for name in values}
     if unknown := sorted(set(group_by) - known):
         raise ValueError(f"`group_by` must be settings of the runs, got {', '.join(unknown)}.")
     names = group_by or _differing(settings)
     return [
-        RunCurves(folder, _task_of(values), _agent_of(values, names), rows)
+        RunCurves(
+            folder, _task_of(values), _agent_of(values, names), rows, _was_stopped(folder, values)
+        )
         for folder, (values, rows) in found.items()
     ]
 
 
-def _read_run(folder: Path) -> tuple[dict[str, Any], list[dict[str, float]]] | None:
+def _each_once(found: dict[Path, FoundRun]) -> dict[Path, FoundRun]:
+    """The runs without copies, which would count as seeds of their own."""
+    kept: dict[str, Path] = {}
+    for folder in sorted(found, key=lambda folder: -found[folder][1][-1]["step"]):
+        key = json.dumps(config_key(found[folder][0]), sort_keys=True)
+        if key in kept:
+            warnings.warn(
+                f"{folder} is passed over: it is the same run as {kept[key]}.", stacklevel=3
+            )
+        kept.setdefault(key, folder)
+    return {folder: own for folder, own in found.items() if folder in kept.values()}
+
+
+def _was_stopped(folder: Path, values: dict[str, Any]) -> bool:
+    """Whether a run has come to its end before its steps were taken."""
+    try:
+        summary = json.loads((folder / SUMMARY).read_text())
+        return bool(summary["total_steps"] < values["total_steps"])
+    except (OSError, ValueError, KeyError, TypeError):  # it has not ended, or nothing is known
+        return False
+
+
+def _read_run(folder: Path) -> FoundRun | None:
     """Settings and rows of a run; `None` where there is none that could be drawn."""
     try:
         values = read_values(folder)
@@ -171,14 +203,22 @@ def known_tags(runs: Sequence[RunCurves], tags: Sequence[str]) -> list[str]:
 
 
 def _points(runs: Sequence[RunCurves], task: str, agent: str, tag: str) -> list[Row]:
-    """Every number that runs of an agent on a task logged under a tag."""
-    return [
-        {"step": int(row["step"]), tag: row[tag]}
-        for run in runs
-        if (run.task, run.agent) == (task, agent)
-        for row in run.rows
-        if math.isfinite(row.get(tag, math.nan))
+    """Every number that runs of an agent on a task logged under a tag.
+
+    A run that was stopped keeps its last one for as long as others go on: left out, the solved
+    ones would be missing first.
+    """
+    own = [run for run in runs if (run.task, run.agent) == (task, agent)]
+    logged = [
+        {int(row["step"]): row[tag] for row in run.rows if math.isfinite(row.get(tag, math.nan))}
+        for run in own
     ]
+    steps = sorted({step for values in logged for step in values})
+    for run, values in zip(own, logged, strict=True):
+        if run.was_stopped and values:
+            last = max(values)
+            values |= {step: values[last] for step in steps if step > last}
+    return [{"step": step, tag: values[step]} for values in logged for step in values]
 
 
 def _names(runs: Sequence[RunCurves], attribute: str) -> list[str]:

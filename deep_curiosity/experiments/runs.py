@@ -72,12 +72,14 @@ def changed_settings(config: Config) -> str:
 def run_once(config: Config, on_evaluation: Callback | None = None) -> dict[str, Any]:
     """Summary of a run: read where it is finished, continued or begun where it is not.
 
+    A shorter run is continued, unless a schedule was stretched over its steps.
+
     Args:
         config: Settings of the run.
         on_evaluation: As in `train`.
 
     Raises:
-        FileExistsError: If the folder holds a run of other settings.
+        FileExistsError: If the folder holds a run of other settings, or a longer one.
         RunStoppedError: If it is stopped before its end; it can be continued.
     """
     folder = config.run.out
@@ -85,14 +87,21 @@ def run_once(config: Config, on_evaluation: Callback | None = None) -> dict[str,
         return _to_its_end(config, on_evaluation)
     there, here = config_key(read_values(folder)), config_key(config.to_json())
     differing = {name for name in there.keys() | here.keys() if there.get(name) != here.get(name)}
-    if others := sorted(differing - {"total_steps"}):
+    extendable = set() if config.agent.follows_schedule else {"total_steps"}
+    if others := sorted(differing - extendable):
         raise FileExistsError(
             f"`out` must hold no run of other settings, got {folder}, which differs in "
             f"{', '.join(others)}; move it away or choose another folder."
         )
     if (folder / SUMMARY).exists():
         summary: dict[str, Any] = json.loads((folder / SUMMARY).read_text())
-        if summary["total_steps"] >= config.run.total_steps:
+        taken, wanted = summary["total_steps"], config.run.total_steps
+        if taken >= wanted + config.environment.num_envs:  # which are stepped together
+            raise FileExistsError(
+                f"`out` must hold no longer run than the {wanted} steps that are wanted, got "
+                f"{folder}, which has taken {taken}; move it away or choose another folder."
+            )
+        if taken >= wanted:
             return summary
     return _to_its_end(config, on_evaluation, resume=True)
 

@@ -37,25 +37,29 @@ def is_measured(rows: Sequence[Row], column: str) -> bool:
 
 
 def have_joint_curve(study: Study, rows: Sequence[Row]) -> bool:
-    """Whether the runs of at least the first agent can be shown together."""
+    """Whether the runs of an agent at least can be shown together."""
     is_known = is_measured(rows, "evaluation_return")
     return are_comparable(study) and is_known and bool(complete_agents(study, rows))
 
 
 def complete_agents(study: Study, rows: Sequence[Row]) -> list[str | float]:
-    """The agents that have as many runs of each task as the first one, which has some of each."""
-    counts = {
-        agent: [len(select(rows, "seed", task=task.name, agent=agent)) for task in study.tasks]
+    """The agents that have the same seeds of each task as the one with most runs."""
+    seeds = {
+        agent: [sorted(select(rows, "seed", task=task.name, agent=agent)) for task in study.tasks]
         for agent in study.agents
     }
-    first = counts[next(iter(study.agents))]
-    return [agent for agent, own in counts.items() if own == first and all(own)]
+    most = max(seeds.values(), key=lambda own: sum(map(len, own)))
+    return [agent for agent, own in seeds.items() if own == most and all(own)]
 
 
 def groups_of(
     study: Study, rows: Sequence[Row], agent: str | float, column: str, *, normalized: bool = False
 ) -> Groups:
-    """Values of an agent's runs, a group for each task; if asked, in units of a solved return."""
+    """Values of an agent's runs in the order of their seeds, a group for each task.
+
+    If asked, in units of a solved return.
+    """
+    rows = sorted(rows, key=lambda row: float(row["seed"]))
     return [
         [
             value / task.solved_return if normalized else value
@@ -79,7 +83,15 @@ def summarize_together(study: Study, rows: Sequence[Row]) -> list[str]:
         ]
         lines.append([str(agent), f"{solved.count(1)} of {len(solved)}", *estimates])
     header = ["all tasks", "runs solved", *(f"{name}, solved is 1" for name in columns)]
-    return [markdown_table([text.replace("_", " ") for text in header], lines), ""]
+    table = markdown_table([text.replace("_", " ") for text in header], lines)
+    return [table, "", *_left_out(study, rows)]
+
+
+def _left_out(study: Study, rows: Sequence[Row]) -> list[str]:
+    """Markdown: the agents that lack runs which others have."""
+    complete = complete_agents(study, rows)
+    lacking = [f"{agent}" for agent in study.agents if agent not in complete]
+    return [f"Without all runs, and left out: {', '.join(lacking)}.", ""] if lacking else []
 
 
 def plot_together(path: Path, study: Study, rows: Sequence[Row], curves: Sequence[Row]) -> None:

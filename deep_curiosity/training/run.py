@@ -22,7 +22,6 @@ import torch
 from torch import Tensor
 
 from deep_curiosity import __version__
-from deep_curiosity.schedules import Schedule
 from deep_curiosity.speed.machine import fitted_machine
 from deep_curiosity.speed.precision import matmul_error
 from deep_curiosity.training.checkpoint import (
@@ -515,15 +514,11 @@ def _print_changes(config: Config, own: Config) -> None:
             effect = "what is learned stays exactly what it would have been"
         elif name in ROUNDING_CHANGES or compiles(config) != compiles(own):
             effect = "from here on results are rounded otherwise than they would have been"
-        elif _follows_schedule(config):
+        elif config.agent.follows_schedule:
             effect = "schedules are stretched over all steps, and go on from another value"
         else:
             effect = "the run goes on exactly as if it had been so from the start"
         print(f"`{name}` is {now[name]}, it was {before[name]}: {effect}", flush=True)
-
-
-def _follows_schedule(config: Config) -> bool:
-    return any(isinstance(value, Schedule) for value in vars(config.agent).values())
 
 
 def _print_machine(config: Config) -> None:

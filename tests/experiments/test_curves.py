@@ -119,6 +119,29 @@ def test_where_a_run_has_no_row_the_others_are_averaged(folder):
     assert panel["agents"]["curiosity"]["value"][2] is None
 
 
+def test_a_run_that_was_stopped_keeps_its_last_value_while_others_go_on(tmp_path):
+    """Six of eight are stopped, solved; an agent that solves most must not end at nothing."""
+    for seed in range(8):
+        config = Config.of(env_id="PointMaze", seed=seed)
+        is_solved = seed < 6
+        write_run(tmp_path / f"{seed}", config, [0.0, 100.0] if is_solved else [0.0] * 5)
+        if is_solved:
+            (tmp_path / f"{seed}" / "summary.json").write_text('{"total_steps": 1000}')
+    runs = read_runs(find_runs([tmp_path]))
+    panel = page_data(runs, ["eval/return"])["curves"]["PointMaze"]["eval/return"]
+    (agent,) = panel["agents"].values()
+    assert agent["value"] == [0.0, 100.0, 100.0, 100.0, 100.0]
+    assert agent["runs"][str(tmp_path / "0")] == [0.0, 100.0, None, None, None]
+
+
+def test_a_copy_of_a_run_is_no_seed_of_its_own(tmp_path):
+    for name, returns in (("a", [1.0]), ("b", [1.0, 3.0]), ("c", [1.0])):
+        write_run(tmp_path / name, Config.of(env_id="PointMaze", out=name), returns)
+    with pytest.warns(UserWarning, match="passed over: it is the same run as .*b"):
+        (run,) = read_runs(find_runs([tmp_path]))
+    assert run.folder == tmp_path / "b"
+
+
 def test_the_page_needs_nothing_but_itself(runs, tmp_path):
     path = tmp_path / "out" / "curves.html"
     write_page(path, runs, ["eval/return"])
@@ -130,7 +153,7 @@ def test_the_page_needs_nothing_but_itself(runs, tmp_path):
 
 
 def test_a_name_cannot_end_the_script(folder):
-    write_run(folder / "</script>", Config.of(env_id="PointMaze"), [1.0])
+    write_run(folder / "</script>", Config.of(env_id="PointMaze", seed=9), [1.0])
     path = folder / "curves.html"
     write_page(path, read_runs(find_runs([folder])), ["eval/return"])
     assert path.read_text().count("</script>") == 2

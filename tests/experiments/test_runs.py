@@ -22,6 +22,28 @@ def test_a_folder_with_a_run_of_other_settings_is_refused(tiny):
     assert run_once(tiny.override(total_steps=40))["total_steps"] == 40  # the same run, continued
 
 
+def test_a_longer_run_is_none_to_stand_for_a_shorter_one(tiny):
+    run_once(tiny.override(total_steps=40))
+    with pytest.raises(
+        FileExistsError, match=r"than the 30 steps that are wanted, got .* taken 40"
+    ):
+        run_once(tiny.override(total_steps=30))
+
+
+@pytest.mark.parametrize("name", ["hunger", "temperature"])
+def test_a_run_whose_schedule_would_be_stretched_is_not_continued(tiny, name):
+    scheduled = tiny.override(**{name: "linear:1:0.1"})
+    run_once(scheduled.override(total_steps=30))
+    with pytest.raises(FileExistsError, match="differs in total_steps; move it away"):
+        run_once(scheduled.override(total_steps=40))
+
+
+def test_steps_that_several_environments_take_together_make_no_longer_run(tiny):
+    several = tiny.override(num_envs=4, total_steps=30)
+    summary = run_once(several)
+    assert summary["total_steps"] == 32 and run_once(several)["total_steps"] == 32
+
+
 def test_a_finished_run_is_read(tiny, monkeypatch):
     summary = run_once(tiny)
     monkeypatch.setattr(runs, "train", None)

@@ -48,12 +48,21 @@ def test_returns_are_in_units_of_what_counts_as_solved():
     assert shy == "| shy | 0 of 4 | 0 [0, 0] | 0 [0, 0] |"
 
 
-def test_an_agent_with_fewer_runs_than_the_first_is_left_out():
+def test_an_agent_without_the_seeds_of_the_others_is_left_out_and_named():
     rows = rows_of()
     assert complete_agents(STUDY, rows) == ["bold", "shy"]
-    assert complete_agents(STUDY, rows[:-1]) == ["bold"]
     of_one_task = [row for row in rows if row["task"] == "maze"]
     assert complete_agents(STUDY, of_one_task) == []
+    for agent, other in (("bold", "shy"), ("shy", "bold")):  # the first one, too
+        lost = [row for row in rows if (row["agent"], row["seed"]) != (agent, 0)]
+        assert complete_agents(STUDY, lost) == [other]
+        text = "\n".join(summarize_together(STUDY, lost))
+        assert f"Without all runs, and left out: {agent}." in text
+
+
+def test_agents_with_as_many_runs_of_other_seeds_are_not_paired():
+    rows = [row for row in rows_of(seeds=3) if row["seed"] != (2 if row["agent"] == "bold" else 0)]
+    assert complete_agents(STUDY, rows) == ["bold"]
 
 
 @pytest.mark.parametrize(
