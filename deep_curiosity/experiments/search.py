@@ -8,6 +8,7 @@ from typing import Any
 from deep_curiosity.configuration import flat
 from deep_curiosity.experiments.study import Task
 from deep_curiosity.experiments.tables import check_outputs
+from deep_curiosity.training.config import config_key
 
 ENDINGS = (".json", ".csv", ".png")
 """Of the files that a search writes: best settings, table of trials, figure."""
@@ -54,6 +55,15 @@ class Search:
                 raise TypeError(
                     f"`space` must hold settings of {task.name}, got {', '.join(unknown)}."
                 )
+
+    def identity(self) -> dict[str, Any]:
+        """What makes the search the one it is, by name, as JSON takes it."""
+        return {
+            "tasks": {task.name: config_key(task.config.to_json()) for task in self.tasks},
+            "space": {name: repr(values) for name, values in self.space.items()},
+            "ranges": {task.name: self.ranges[task.name] for task in self.tasks},
+            "seeds": [self.first_seed, self.seeds],
+        }
 
     def normalise(self, task: str, value: float) -> float:
         """A return of a task on the scale of all."""

@@ -38,6 +38,8 @@ from deep_curiosity.training.interruption import terminated_like_interrupted
 from deep_curiosity.training.log import write_json
 
 EVALUATIONS = "evaluations.jsonl"
+SEARCH = "search"  # attribute of Optuna's study: of what its trials are
+VERY_POOR = -1e9  # score of a trial of which a run returned NaN
 STOP = "stop"  # its being there tells the runs of a trial to stop
 ENDED = (TrialState.COMPLETE, TrialState.PRUNED, TrialState.FAIL)
 Pruner = Literal["median", "hyperband", "none"]
@@ -109,7 +111,7 @@ def open_study(
         pruner: Which trials are stopped early.
 
     Raises:
-        ValueError: If the storage cannot be opened.
+        ValueError: If the storage cannot be opened, or holds trials of another search.
     """
     runs.mkdir(parents=True, exist_ok=True)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
@@ -120,10 +122,24 @@ def open_study(
         pruner=_make_pruner(search, pruner),
         load_if_exists=True,
     )
+    _claim(study, search)
     present = {name: flat(search.tasks[0].config)[name].value for name in search.space}
     if not study.trials and all(_holds(search.space[name], present[name]) for name in present):
         study.enqueue_trial(present)
     return study
+
+
+def _claim(study: optuna.Study, search: Search) -> None:
+    """Note of what search the trials are, and refuse those of another."""
+    own = json.loads(json.dumps(search.identity()))
+    noted = study.user_attrs.get(SEARCH)
+    if noted is None:
+        study.set_user_attr(SEARCH, own)
+    elif differing := [name for name in own if noted.get(name) != own[name]]:
+        raise ValueError(
+            f"`runs` must hold no trials of another search, got {study.study_name}, whose "
+            f"{', '.join(differing)} differ; name another folder."
+        )
 
 
 def _open_storage(storage: str) -> optuna.storages.RDBStorage:
@@ -283,8 +299,8 @@ class _Trial:
 
 
 def score_of(values: Sequence[float]) -> float:
-    """Interquartile mean of normalised returns, one of each run; NaN counts as very poor."""
-    return float(interquartile_mean(np.nan_to_num(np.array(values), nan=-1e9)))
+    """Interquartile mean of normalised returns, one of each run; very poor where one is NaN."""
+    return VERY_POOR if np.isnan(values).any() else float(interquartile_mean(np.array(values)))
 
 
 def run_batch(batch: Sequence[_Trial], engine: Engine) -> None:

@@ -5,6 +5,7 @@ import itertools
 import json
 import math
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 
 import pytest
 
@@ -277,3 +278,26 @@ def test_a_storage_that_cannot_be_opened_is_refused(search_in, calls, tmp_path, 
 def test_lines_that_a_crash_has_torn_are_passed_over(tmp_path):
     (tmp_path / tuner.EVALUATIONS).write_text("[200, 2.0]\n[1[100, 1.0]\n3\n[200, 2.5]\n[300, 3")
     assert tuner.read_evaluations(tmp_path) == {200: 2.5}
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"seeds": 3}, "seeds"),
+        ({"ranges": {"easy": (0.0, 20.0), "hard": (0.0, 1.0)}}, "ranges"),
+        ({"space": {"learning_rate": FloatDistribution(1e-4, 1e-2, log=True)}}, "space"),
+    ],
+)
+def test_trials_of_another_search_are_not_gone_on_with(search, search_in, tmp_path, changes, said):
+    search_in(tmp_path, trials=1)
+    tuner.open_study(search, tmp_path / "runs")  # the same goes on
+    with pytest.raises(ValueError, match=f"got runs, whose {said} differ; name another folder"):
+        tuner.open_study(replace(search, **changes), tmp_path / "runs")
+    others = [replace(task, config=task.config.override(hidden_dim=4)) for task in search.tasks]
+    with pytest.raises(ValueError, match="whose tasks differ"):
+        tuner.open_study(replace(search, tasks=others), tmp_path / "runs")
+
+
+def test_a_trial_of_which_a_run_returned_nan_is_very_poor():
+    assert tuner.score_of([0.9, 0.9, 0.9, math.nan]) == tuner.VERY_POOR
+    assert tuner.score_of([0.1, 0.5, 0.7, 0.9]) == pytest.approx(0.6)
