@@ -3,14 +3,29 @@
 import math
 from collections.abc import Callable, Mapping
 
+import numpy as np
+
 Callback = Callable[[int, Mapping[str, float]], bool | None]
 """From the step and the values at it, by their tags, to whether the run is to stop. A value that
 is not known, such as the success rate of a task that defines none, is NaN."""
 
 
 def call(callback: Callback | None, step: int, values: Mapping[str, float] | None) -> bool:
-    """Tell a callback, if there is news; whether it asks to stop, as `True` and its like do."""
-    return callback is not None and values is not None and bool(callback(step, values))
+    """Tell a callback, if there is news; whether it asks to stop.
+
+    Raises:
+        TypeError: If it returns something else that counts as true: what a lambda happens to
+            return, such as a number of characters written, is no wish to stop.
+    """
+    if callback is None or values is None:
+        return False
+    answer = callback(step, values)
+    stops = bool(answer)
+    if stops and not isinstance(answer, bool | np.bool_):
+        raise TypeError(
+            f"`callback` must return True to stop, or False or None to go on, got {answer!r}."
+        )
+    return stops
 
 
 def stop_when_solved(solved_return: float) -> Callback:

@@ -314,9 +314,9 @@ class Collector:
                 options={"reset_mask": mask},
             )
         self.present_info = self.present_info | {
-            name: np.where(mask, value, self.present_info.get(name, value))
+            name: _replaced(mask, np.asarray(value), self.present_info.get(name))
             for name, value in info.items()
-            if np.shape(value) == mask.shape  # one for each environment
+            if np.shape(value)[:1] == mask.shape  # one for each environment
         }
         self._length[mask], self._return[mask], self._success[mask] = 0, 0.0, math.nan
         self.actions = self.actions[len(self.actions) - self._length.max() :]
@@ -325,6 +325,13 @@ class Collector:
 
 def _episode_seed(seed: int, number: int) -> int:
     return int(np.random.SeedSequence((seed, number)).generate_state(1)[0])
+
+
+def _replaced(mask: np.ndarray, value: np.ndarray, before: Any) -> np.ndarray:
+    """What infos say of each environment, anew where the mask is."""
+    if np.shape(before) != value.shape:
+        return value
+    return np.where(mask.reshape(-1, *[1] * (value.ndim - 1)), value, before)
 
 
 def _entry_of(info: Info, name: str) -> np.ndarray:

@@ -8,6 +8,7 @@ require_training()
 import difflib
 import importlib
 import multiprocessing
+import os
 import signal
 import warnings
 from collections.abc import Callable, Iterable
@@ -181,7 +182,7 @@ def _limit(config: EnvironmentConfig, spec: EnvSpec | None, task: gymnasium.Env)
         return config.max_episode_steps
     if spec is not None and spec.max_episode_steps is not None:
         return spec.max_episode_steps
-    if task.has_wrapper_attr("_max_episode_steps") or config.env_id.startswith("dm_control/"):
+    if _has_time_limit(task) or config.env_id.startswith("dm_control/"):
         return None
     warnings.warn(
         f"`max_episode_steps` should be set: nothing limits the episodes of {config.env_id}, and "
@@ -189,6 +190,38 @@ def _limit(config: EnvironmentConfig, spec: EnvSpec | None, task: gymnasium.Env)
         stacklevel=2,
     )
     return MAX_EPISODE_STEPS
+
+
+def _has_time_limit(task: gymnasium.Env) -> bool:
+    """Whether a wrapper cuts episodes off; an attribute of the task's own may say anything."""
+    while isinstance(task, gymnasium.Wrapper):
+        if isinstance(task, TimeLimit):
+            return True
+        task = task.env
+    return False
+
+
+def made_anew(make_env: MakeEnv) -> MakeEnv:
+    """The function, checked to make another environment at every call.
+
+    Raises:
+        ValueError: When it is called, if it returns one of before: two that step the same would
+            tear each other's episodes.
+    """
+    made: set[tuple[int, int]] = set()
+
+    def make() -> gymnasium.Env:
+        task = make_env()
+        own = os.getpid(), id(getattr(task, "unwrapped", task))
+        if own in made:
+            raise ValueError(
+                "`make_env` must make a new environment at every call, got the same one twice: "
+                f"{task}."
+            )
+        made.add(own)
+        return task
+
+    return make
 
 
 def _of_another_mujoco(spec: EnvSpec, error: AssertionError) -> Exception:

@@ -96,7 +96,8 @@ class FunctionHunger(HungerController):
         Raises:
             ValueError: If that is not one hunger, or one for each environment, within its bounds.
         """
-        hunger = np.asarray(self.function(observation, info), dtype=float)
+        own = observation.copy()  # replay holds the other
+        hunger = np.asarray(self.function(own, info), dtype=float)
         if hunger.shape not in ((), (len(observation),)):
             raise ValueError(
                 f"`hunger` must return one number or {len(observation)}, got {hunger.shape}."

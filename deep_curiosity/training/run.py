@@ -44,6 +44,7 @@ from deep_curiosity.training.environments import (
     MADE_BY_FUNCTION,
     MakeEnv,
     action_dim,
+    made_anew,
     make_environment,
     make_vector_environment,
     num_cells,
@@ -388,6 +389,8 @@ def open_run(
             f"{torch.get_default_dtype()}."
         )
     config = with_make_env(config, make_env)
+    if make_env is not None:
+        make_env = made_anew(make_env)
     if resume:
         own = read_config(config.run.out)
         config = merge_config(config, own)
@@ -416,7 +419,6 @@ def open_run(
         if resume:
             _check_remaining(config, own, state["run_log"]["step"] if state else 0)
             _print_changes(config, own)
-            write_json(config.run.out / CONFIG, config.to_json())
         else:
             open_folder(config)
         write_json(config.run.out / SPACES, task_spaces(evaluation_environment).to_json())
@@ -430,6 +432,8 @@ def open_run(
             run.save()  # so that a run that fails at once can still be continued
         else:
             run.restore(state)
+        if resume:  # only now: what cannot be continued keeps its settings
+            write_json(config.run.out / CONFIG, config.to_json())
         yield run
 
 

@@ -142,7 +142,7 @@ class ActionRepeat(gymnasium.Wrapper):
             sound = np.isfinite(total) and np.isfinite(observation).all()
             if terminated or truncated or not sound:
                 break
-        if "is_success" in info:
+        if succeeded or "is_success" in info:  # it may be told at the step alone where it happens
             info["is_success"] = succeeded
         return observation, total, terminated, truncated, info
 

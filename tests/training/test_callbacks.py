@@ -39,6 +39,15 @@ def test_a_callback_stops_a_run_that_can_be_continued(tiny, told, stopped_at):
     assert steps == [step for step in (20, 40, 60) if step > stopped_at]
 
 
+def test_what_a_callback_happens_to_return_is_no_wish_to_stop(tiny):
+    with pytest.raises(TypeError, match=r"`callback` must return True to stop, .* got \{'a': 1\}"):
+        train(tiny, on_log=lambda step, values: {"a": 1}, show_progress=False)
+    stopped = train(
+        tiny.override(out=tiny.run.out / "b"), on_log=lambda *_: np.True_, show_progress=False
+    )
+    assert stopped["total_steps"] < tiny.run.total_steps
+
+
 def test_a_callback_that_asks_for_nothing_changes_nothing(tiny, tmp_path):
     other = tiny.override(out=tmp_path / "told")
     plain = train(tiny, show_progress=False)

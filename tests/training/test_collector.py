@@ -206,6 +206,31 @@ def test_the_present_info_belongs_to_the_present_observation(vectorization):
     environments.close()
 
 
+@pytest.mark.parametrize("num_envs", [1, 3])
+def test_an_info_of_several_numbers_belongs_to_the_present_observation(num_envs):
+    class Tells(Counter):
+        def __init__(self):
+            super().__init__(truncate_at=4)
+
+        def reset(self, *, seed=None, options=None):
+            observation, _ = super().reset(seed=seed)
+            return observation, {"seen": np.array([*observation, 0.0])}
+
+        def step(self, action):
+            observation, *rest, _ = super().step(action)
+            return observation, *rest, {"seen": np.array([*observation, 1.0])}
+
+    environments = SyncVectorEnv([Tells] * num_envs, autoreset_mode=AutoresetMode.DISABLED)
+    collector = Collector(environments if num_envs > 1 else Tells(), seed=0)
+    starts = 0
+    for _ in range(30):
+        seen = collector.present_info["seen"]
+        assert seen[:, :-1].tolist() == collector.observation.tolist()
+        starts += (seen[:, -1] == 0).sum()
+        collector.step(np.zeros((num_envs, 1), np.float32))
+    assert starts > num_envs
+
+
 class Fragile(Counter):
     """Counts as the others do, and shows what is not finite once in a while."""
 

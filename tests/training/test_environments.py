@@ -19,6 +19,7 @@ from deep_curiosity.training.environments import (
     MADE_BY_FUNCTION,
     MAX_EPISODE_STEPS,
     check_spaces,
+    made_anew,
     make_environment,
     make_vector_environment,
     num_cells,
@@ -374,10 +375,23 @@ def test_a_task_without_a_limit_is_told_of_and_cut_off():
         environment = make_environment(EnvironmentConfig(MADE_BY_FUNCTION), make_env=Task)
     (episode,) = evaluate(lambda x, info: torch.zeros(1, 3), environment, episodes=1, seed=0)
     assert episode.length == MAX_EPISODE_STEPS
+    said = type("Said", (Task,), {"_max_episode_steps": 5})  # which nothing holds it to
+    with pytest.warns(UserWarning, match="`max_episode_steps` should be set"):
+        environment = make_environment(EnvironmentConfig(MADE_BY_FUNCTION), make_env=said)
     own_limit = gymnasium.wrappers.TimeLimit(Task(), 7)  # which is seen, and kept
     environment = make_environment(EnvironmentConfig(MADE_BY_FUNCTION), make_env=lambda: own_limit)
     (episode,) = evaluate(lambda x, info: torch.zeros(1, 3), environment, episodes=1, seed=0)
     assert episode.length == 7
+
+
+def test_a_function_that_hands_out_one_environment_again_is_refused():
+    one = Task()
+    make = made_anew(lambda: one)
+    assert make() is one
+    with pytest.raises(ValueError, match="`make_env` must make a new environment at every call"):
+        make()
+    make = made_anew(Task)
+    assert make() is not make()
 
 
 def test_success_is_heard_and_ends_an_episode_if_that_is_wanted(own):

@@ -32,6 +32,16 @@ def arms_held(bandit, reward_of, num_steps):
     return np.array(held)
 
 
+def test_a_function_that_works_in_place_leaves_what_replay_holds():
+    def centred(observation, info):
+        observation -= observation.mean()
+        return 1.0
+
+    observation = np.array([[1.0, 3.0]])
+    assert FunctionHunger(centred, 1.0).hunger(0, observation, {}) == [1.0]
+    assert observation.tolist() == [[1.0, 3.0]]
+
+
 def test_a_bandit_goes_where_reward_is():
     torch.manual_seed(0)
     held = arms_held(BanditHunger(segment=10), lambda hunger: hunger, 1_000)

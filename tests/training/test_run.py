@@ -182,3 +182,10 @@ def test_another_default_of_torch_is_refused_by_name(tiny):
     finally:
         torch.set_default_dtype(torch.float32)
     assert not tiny.run.out.exists()
+
+
+def test_training_and_evaluations_never_share_an_environment(tiny):
+    one = gymnasium.make("Pendulum-v1")
+    config = Config.of(out=tiny.run.out, total_steps=60, learning_starts=20)
+    with pytest.raises(ValueError, match="`make_env` must make a new environment at every call"):
+        train(config, make_env=lambda: one, show_progress=False)

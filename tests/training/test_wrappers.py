@@ -173,6 +173,16 @@ def test_what_ends_an_episode_ends_the_holding(name):
     assert np.isnan(observation).all() == (name == "broken")
 
 
+def test_a_success_that_is_told_at_its_step_alone_is_one():
+    class Tells(Counts):
+        def step(self, action):
+            *step, _ = super().step(action)
+            return *step, {"is_success": True} if self.steps == 1 else {}
+
+    environment = ActionRepeat(Tells(), 3)
+    assert [environment.step(ACTION)[4] for _ in range(2)] == [{"is_success": True}, {}]
+
+
 @pytest.mark.parametrize(
     ("at", "steps"), [(1, [True, False]), (3, [True, False]), (4, [False, True])]
 )
