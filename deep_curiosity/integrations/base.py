@@ -54,3 +54,6 @@ class Integration(ABC):
     @abstractmethod
     def load(self, folder: Path) -> "Integration":
         """Another agent, as `save` left it in the folder, with an environment of its own."""
+
+    def release(self) -> None:  # noqa: B027  # most change nothing
+        """Give back what was changed of the agent for the check alone; by default nothing was."""

@@ -174,6 +174,18 @@ def frozen(module: nn.Module) -> Iterator[None]:
             parameter.requires_grad_(True)
 
 
+@contextmanager
+def evaluating(module: nn.Module) -> Iterator[None]:
+    """Hold batch normalisation and dropout still, and leave each layer in the mode it was in."""
+    modes = {part: part.training for part in module.modules()}
+    module.eval()
+    try:
+        yield
+    finally:
+        for part, mode in modes.items():
+            part.training = mode
+
+
 class Adam(nn.Module):
     """Adam over the parameters of one part. Its state lies in buffers, and moves and saves so.
 

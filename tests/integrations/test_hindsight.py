@@ -183,6 +183,18 @@ def test_normalised_agents_are_given_a_raw_bonus(factor: float) -> None:
     torch.testing.assert_close(added, factor * transition.observation[:, 0], rtol=0, atol=1e-4)
 
 
+def test_ends_that_are_clipped_are_refused_without_the_callback() -> None:
+    environment = VecNormalize(DummyVecEnv([Reach]), norm_obs_keys=["observation"], clip_obs=0.1)
+    with pytest.raises(ValueError, match=r"`callback` must be CuriosityCallback\(\)"):
+        make_agent(env=environment).learn(60)
+
+
+def test_no_end_is_kept_that_nothing_asks_for() -> None:
+    buffer = filled()
+    buffer.sample(4)
+    assert not buffer._normalized_ends
+
+
 @pytest.mark.parametrize("kind", [SAC, TD3, DDPG])
 def test_every_agent_learns_with_curiosity(kind: type) -> None:
     agent = make_agent(kind, DummyVecEnv([Reach] * 2), bonus="curiosity", **SMALL)

@@ -717,6 +717,24 @@ def test_collecting_learns_nothing_and_learning_moves_critic_actor_and_bonus(kin
         torch.testing.assert_close(one, other)
 
 
+@pytest.mark.parametrize("kind", ["SAC", "PPO"])
+def test_the_check_gives_logger_counts_and_length_of_rollouts_back(kind: str) -> None:
+    integration = integrations(kind)
+    agent = integration.model
+    agent.learn(40, callback=CuriosityCallback())
+    own = StableBaselinesOnPolicyIntegration if kind == "PPO" else StableBaselinesIntegration
+    names = ("num_timesteps", "n_steps", "logger")
+    before = [getattr(agent, name, None) for name in names]
+    checked = own(agent, Clock)
+    checked.collect(30, seed=0)
+    checked.learn(seed=0)
+    checked.release()
+    assert [getattr(agent, name, None) for name in names] == before
+    agent.learn(8, callback=CuriosityCallback(), reset_num_timesteps=False)
+    if kind == "PPO":
+        assert agent.num_timesteps == before[0] + agent.n_steps * agent.n_envs
+
+
 @pytest.mark.parametrize("kind", ["SAC", "TD3", "PPO"])
 def test_a_loaded_integration_learns_and_collects_the_same(kind: str, tmp_path: Path) -> None:
     integration = integrations(kind, **(SMALL | {"bonus": "curiosity"}))

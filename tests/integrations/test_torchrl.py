@@ -23,6 +23,7 @@ from deep_curiosity import requirements
 from deep_curiosity.bonuses.base import Bonus, Policy
 from deep_curiosity.bonuses.curiosity import CuriosityBonus
 from deep_curiosity.bonuses.learner import BonusLearner
+from deep_curiosity.bonuses.registry import make_bonus
 from deep_curiosity.integrations.check import check_integration
 from deep_curiosity.integrations.torchrl import (
     BonusLoss,
@@ -223,6 +224,44 @@ def test_policy_gives_the_bonus_fresh_actions_in_the_unit_box():
     make_replay(transform, make_batch()).sample()
     assert torch.allclose(bonus.fresh[0], torch.ones(BATCH, 1), atol=1e-2)
     assert all(part not in name for name in transform.state_dict() for part in ("policy", "actor"))
+
+
+def test_a_policy_may_read_other_entries_of_the_batch_and_is_left_as_it_is():
+    bonus = LevelBonus()
+    network = nn.Sequential(nn.BatchNorm1d(1), nn.Identity())
+    policy = TensorDictModule(
+        lambda observation, goal: network(goal),
+        in_keys=["observation", "goal"],
+        out_keys=["action"],
+    )
+    policy.network = network  # known as a part of the policy
+    batch = make_batch(BATCH // 2, 2)
+    goal = batch["goal"] = torch.rand(BATCH // 2, 2, 1) * 0.5
+    transform = CuriosityTransform(BonusLearner(bonus), policy=policy)
+    transform(batch)
+    torch.testing.assert_close(bonus.fresh[0], goal.reshape(-1, 1), rtol=1e-4, atol=0)
+    assert network[0].running_mean == 0 and network.training
+
+
+@pytest.mark.parametrize("name", ["curiosity", "disagreement", "rnd"])
+def test_a_buffer_that_prefetches_in_threads_learns_one_batch_at_a_time(name: str):
+    bonus = make_bonus(name, 3, 1, hidden_dims=(8,))
+    learned = [parameter.requires_grad for parameter in bonus.parameters()]
+    replay = TensorDictReplayBuffer(storage=LazyTensorStorage(100), batch_size=BATCH, prefetch=3)
+    replay.append_transform(CuriosityTransform(BonusLearner(bonus), add_to_reward=True))
+    replay.extend(make_batch(50))
+    for _ in range(60):
+        assert replay.sample()["next", "reward"].isfinite().all()
+    assert [parameter.requires_grad for parameter in bonus.parameters()] == learned
+
+
+def test_rewards_of_whole_numbers_leave_the_bonus_a_real_one():
+    batch = make_batch()
+    batch["next", "reward"] = torch.ones(BATCH, 1, dtype=torch.long)
+    sample = make_replay(CuriosityTransform(StepBonus(), add_to_reward=True), batch).sample()
+    bonus = sample["next", "curiosity"]
+    assert bonus.is_floating_point()
+    torch.testing.assert_close(sample["next", "reward"], 1 + bonus)
 
 
 def test_any_batch_shape_is_flattened_and_restored():

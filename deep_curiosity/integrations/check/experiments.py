@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -36,7 +37,8 @@ def check_integration(agent: Integration, *, num_steps: int = 400, seed: int = 0
     Returns:
         The lines `finite`, `not constant`, `raw`, `ends`, `targets`, `fresh`, `actor` and `state`.
     """
-    with TemporaryDirectory() as name:
+    with TemporaryDirectory() as name, ExitStack() as stack:
+        stack.callback(agent.release)
         folder = Path(name)
         given = agent.collect(num_steps, seed=seed)
         stored = agent.stored()

@@ -1,7 +1,5 @@
 """The callback that connects a curious buffer with its agent and with the logger."""
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from copy import deepcopy
 from typing import Any
 
@@ -9,7 +7,7 @@ import numpy as np
 import torch
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.type_aliases import PyTorchObs
-from torch import Tensor, nn
+from torch import Tensor
 
 from deep_curiosity.integrations.stable_baselines3.normalization import (
     check_order,
@@ -21,6 +19,7 @@ from deep_curiosity.integrations.stable_baselines3.replay import (
     CuriousReplayBuffer,
 )
 from deep_curiosity.integrations.stable_baselines3.rollout import CuriousRolloutBuffer
+from deep_curiosity.nn.networks import evaluating
 from deep_curiosity.transitions import check_counts
 
 
@@ -101,7 +100,7 @@ class CuriosityCallback(BaseCallback):
     def _act(self, observation: PyTorchObs) -> Tensor:
         """What the agent would do now, as it is stored: within [-1, 1]."""
         actor = self.model.actor  # type: ignore[attr-defined]
-        with _evaluating(actor):
+        with evaluating(actor):
             action: Tensor = actor(observation)
         return action
 
@@ -126,15 +125,3 @@ class CuriosityCallback(BaseCallback):
         normalize = self.model.get_vec_normalize_env()
         reward: np.ndarray = self.locals["rewards"]
         return reward if normalize is None else normalize.get_original_reward()
-
-
-@contextmanager
-def _evaluating(module: nn.Module) -> Iterator[None]:
-    """Hold batch normalisation and dropout still, and leave each layer in the mode it was in."""
-    modes = {part: part.training for part in module.modules()}
-    module.eval()
-    try:
-        yield
-    finally:
-        for part, mode in modes.items():
-            part.training = mode

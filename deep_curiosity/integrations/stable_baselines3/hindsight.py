@@ -40,7 +40,9 @@ class CuriousHerReplayBuffer(CuriousReplayBuffer, HerReplayBuffer):  # type: ign
 
         Raises:
             RuntimeError: If no episode has ended yet.
+            ValueError: If an end of an episode is known only as `env` has clipped it.
         """
+        self._check_ends(env)
         self._timeouts = []
         raw = HerReplayBuffer.sample(self, batch_size)
         transition = self._relabelled(raw)

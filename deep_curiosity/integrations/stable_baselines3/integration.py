@@ -27,6 +27,8 @@ from deep_curiosity.transitions import Transition
 
 Agent = TypeVar("Agent", bound=BaseAlgorithm)
 MODEL, BUFFER = "model.zip", "buffer.pkl"
+CHANGED = ("_logger", "_custom_logger", "num_timesteps")
+"""Attributes of an agent that the check needs otherwise."""
 
 
 class _Integration(Integration, Generic[Agent]):
@@ -40,6 +42,7 @@ class _Integration(Integration, Generic[Agent]):
     def __init__(self, model: Agent, make_env: Callable[[], Any]) -> None:
         self.model = model
         self.make_env = make_env
+        self._of_the_user = {name: vars(model).get(name) for name in CHANGED}
         model.set_logger(configure(format_strings=[]))
 
     @property
@@ -57,6 +60,10 @@ class _Integration(Integration, Generic[Agent]):
             callback.on_training_start({}, {})
             self._act(env, callback, num_steps)
         return Transition(*(torch.cat(field) for field in zip(*steps, strict=True)))
+
+    def release(self) -> None:
+        """Give the agent its logger and its count of steps back."""
+        vars(self.model).update(self._of_the_user)
 
     def save(self, folder: Path) -> None:
         """Save agent and buffer, and with the buffer the bonus."""
@@ -132,6 +139,16 @@ class StableBaselinesOnPolicyIntegration(_Integration[OnPolicyAlgorithm]):
         model: An agent with a curious buffer.
         make_env: Makes an environment like that of the agent, for a loaded one.
     """
+
+    def __init__(self, model: OnPolicyAlgorithm, make_env: Callable[[], Any]) -> None:
+        super().__init__(model, make_env)
+        self._num_steps = model.n_steps, self._buffer.buffer_size
+
+    def release(self) -> None:
+        """Give the agent its logger, its count of steps and its length of rollouts back."""
+        super().release()
+        self.model.n_steps, self._buffer.buffer_size = self._num_steps
+        self._buffer.reset()
 
     def stored(self) -> Transition:
         """All that is stored, oldest first, the environments of a step in their order."""

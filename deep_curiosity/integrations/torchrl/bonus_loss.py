@@ -65,7 +65,8 @@ class BonusLoss(LossModule):
         """Loss of the bonus on a batch, after it has observed it."""
         transition = self.reader.read(tensordict)
         if self.observe:
-            self.bonus.observe(transition, self.policy)
+            policy = None if self.policy is None else self.policy.at(tensordict)
+            self.bonus.observe(transition, policy)
         with torch.enable_grad():
             return TensorDict({"loss_bonus": self.bonus.loss(transition)})
 

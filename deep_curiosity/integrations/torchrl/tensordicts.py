@@ -1,6 +1,7 @@
 """Between tensordicts and bonuses: keys, flat batches, and fresh actions of a policy."""
 
 from dataclasses import dataclass
+from functools import partial
 from itertools import chain
 from typing import Any
 
@@ -11,8 +12,9 @@ from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from deep_curiosity.bonuses.base import Bonus
+from deep_curiosity.bonuses.base import Bonus, Policy
 from deep_curiosity.integrations.torchrl.action_box import ActionBox, Key
+from deep_curiosity.nn.networks import evaluating
 from deep_curiosity.transitions import Transition, check_single_steps
 
 
@@ -85,12 +87,19 @@ class TransitionReader:
     def compute(self, transition: Transition, like: Tensor) -> Tensor:
         """Bonus of each transition, in shape, dtype and device like the reward.
 
-        Zero while the bonus is not ready.
+        Where rewards are whole numbers it has a dtype of its own. Zero while it is not ready.
         """
+        dtype = self.dtype_of_bonus(like.dtype)
         if not self.bonus.ready:
-            return torch.zeros_like(like)
+            return torch.zeros_like(like, dtype=dtype)
         observation, action, _, next_observation, *_ = transition
-        return self.bonus(observation, action, next_observation).reshape(like.shape).to(like)
+        bonus: Tensor = self.bonus(observation, action, next_observation)
+        return bonus.reshape(like.shape).to(like.device, dtype)
+
+    def dtype_of_bonus(self, reward_dtype: torch.dtype) -> torch.dtype:
+        """That of the rewards, where these are real numbers, and else that of the bonus."""
+        is_real = reward_dtype.is_floating_point
+        return reward_dtype if is_real else reference_tensor(self.bonus).dtype
 
     def _flags(self, next_tensordict: TensorDictBase, key: Key, batch: int) -> Tensor:
         return self._scalars(next_tensordict, key, batch).bool()
@@ -113,8 +122,10 @@ class TransitionReader:
 class FreshActions:
     """A torchrl policy as a bonus calls it: observations in, random actions in [-1, 1] out.
 
+    The layers of the policy are left as they are: batch normalisation learns nothing here.
+
     Args:
-        policy: Reads the observation and writes the action.
+        policy: Reads the observation, and what else a sampled batch has, and writes the action.
         reader: Knows the keys and the range of the actions.
     """
 
@@ -122,15 +133,28 @@ class FreshActions:
         self.policy = policy
         self.reader = reader
 
+    def at(self, sampled: TensorDictBase) -> Policy:
+        """The policy at the observations of a batch, of which it may read other entries too."""
+        return partial(self.__call__, beside=sampled.select(*self.policy.in_keys, strict=False))
+
     @torch.no_grad()
     def __call__(
-        self, observation: Float[Tensor, "batch observation_dim"]
+        self,
+        observation: Float[Tensor, "batch observation_dim"],
+        beside: TensorDictBase | None = None,
     ) -> Float[Tensor, "batch action_dim"]:
-        """Sample an action at each observation."""
+        """Sample an action at each observation.
+
+        Args:
+            observation: Where.
+            beside: Other entries that the policy reads, as many as there are observations.
+        """
         keys = self.reader.keys
         tensordict = TensorDict({}, batch_size=observation.shape[:1], device=observation.device)
+        if beside is not None:
+            tensordict.update(beside.reshape(-1).to(observation.device))
         tensordict.set(keys.observation, observation)
-        with set_exploration_type(ExplorationType.RANDOM):
+        with set_exploration_type(ExplorationType.RANDOM), evaluating(self.policy):
             action = self.policy(tensordict).get(keys.action)
         return self.reader.box.to_unit(action.to(observation))
 

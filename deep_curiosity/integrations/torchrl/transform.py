@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from itertools import takewhile
+from threading import RLock
 
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
@@ -20,6 +21,8 @@ from deep_curiosity.integrations.torchrl.tensordicts import (
     TransitionReader,
 )
 
+ONE_AT_A_TIME = RLock()
+"""Held while a bonus learns and is computed: a buffer that prefetches samples in threads."""
 KEEPS_UNITS = (CatFrames, DTypeCastTransform)
 """Transforms that write an entry in its own place and leave its numbers what they are."""
 
@@ -96,11 +99,13 @@ class CuriosityTransform(Transform):
         """
         self._check_order()
         transition = self.reader.read(tensordict)
-        if isinstance(self.source, BonusLearner):
-            self.source.learn(transition, self.policy)
         next_tensordict = tensordict.get("next")
         reward = next_tensordict.get(self.reader.keys.reward)
-        bonus = self.reader.compute(transition, like=reward)
+        with ONE_AT_A_TIME:
+            if isinstance(self.source, BonusLearner):
+                policy = None if self.policy is None else self.policy.at(tensordict)
+                self.source.learn(transition, policy)
+            bonus = self.reader.compute(transition, like=reward)
         next_tensordict.set(self.out_keys[0], bonus)
         if self.add_to_reward:
             next_tensordict.set(self.reader.keys.reward, reward + bonus)
@@ -141,6 +146,8 @@ class CuriosityTransform(Transform):
         """Announce the bonus beside the reward, in its shape."""
         like = reward_spec[self.reader.keys.reward]
         reward_spec[self.out_keys[0]] = Unbounded(
-            shape=like.shape, dtype=like.dtype, device=like.device
+            shape=like.shape,
+            dtype=self.reader.dtype_of_bonus(like.dtype),
+            device=like.device,
         )
         return reward_spec
