@@ -68,6 +68,7 @@ class ReplayBuffer:
         self.bonus = torch.full((capacity,), math.nan, dtype=torch.float32, device=device)
         """Of the transition in each slot, as it last was; NaN until it is known."""
         self._num_added = 0
+        self._num_taken = 0  # of those added, by `take_new`
         self._last: Tensor | None = None  # by slot, the number of the row that ends its episode
         self._num_searched = 0  # rows among which ends of episodes were looked for
         self._generator = torch.Generator(device).manual_seed(int(seed))
@@ -331,6 +332,13 @@ class ReplayBuffer:
         age = self._arange(min(num_rows, len(self))).flip(0)
         return self._at((self._num_added - 1 - age) % self.capacity)
 
+    def take_new(self) -> Transition:
+        """The transitions stored since the last call, oldest first: each is taken once."""
+        number = min(self._num_added - self._num_taken, len(self))
+        self._num_taken = self._num_added
+        age = self._arange(number).flip(0)
+        return self._at((self._num_added - 1 - age) % self.capacity)
+
     def mean_episode_length(self) -> float:
         """Transitions held for each episode that ended among them, or all while none did."""
         ended = (self._rows[: len(self), -2:] > 0).any(-1).sum()
@@ -357,6 +365,7 @@ class ReplayBuffer:
             "rows": self._rows[: len(self)].clone(),
             "bonus": self.bonus[: len(self)].clone(),
             "num_added": self._num_added,
+            "num_taken": self._num_taken,
             "generator": self._generator.get_state(),
         }
 
@@ -377,6 +386,8 @@ class ReplayBuffer:
         self._rows[: rows.shape[0]] = rows
         self.bonus[: rows.shape[0]] = state["bonus"]
         self._num_added = state["num_added"]
+        # an older state does not say: what it held was taken then
+        self._num_taken = state.get("num_taken", self._num_added)
         self._last = None
         self._num_searched = 0
         self._generator.set_state(state["generator"])
@@ -405,6 +416,7 @@ class ReplayBuffer:
         self._rows[: len(held)] = held
         self.bonus.fill_(math.nan)  # which was of what stood there before
         self._num_added = len(held)
+        self._num_taken = 0
         self._last = None
         self._num_searched = 0
 

@@ -194,8 +194,8 @@ class HashCountConfig(BaselineConfig):
     """Length of a code."""
 
     def sample_visited(self, replay: ReplayBuffer, batch_size: int) -> Transition | None:
-        """The newest transitions, so that visits are counted and not draws from replay."""
-        return replay.newest(self.refresh_interval)
+        """The transitions since the last renewal, so that every visit is counted once."""
+        return replay.take_new()
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,8 @@ NUM_DRAWN = 2_048  # rows: an interquartile range of so many is right to 3 %
 QUARTILES = torch.tensor([0.25, 0.5, 0.75])
 NORMAL_RANGE = 1.349  # interquartile range of a standard Gaussian
 FAR = 3.0  # scales beyond which a value is as good as at this distance, to a saturating scale
+REST = 1e-3  # of the distance of a far row, within which a feature rests
+FEW_ROWS = 0.01  # beyond that far row
 MOST_ROWS = 0.5  # share at which a feature counts as one that rests
 NORMAL_SHARE = 0.99501  # mean of min(z^2, FAR^2) of a standard Gaussian
 SCALE_STEPS = 12  # of the fixed-point iteration for that scale, from above
@@ -111,7 +113,9 @@ class RunningMoments(nn.Module):
 
     def _merge(self, value: Tensor) -> None:
         if self.reach < math.inf:
-            bound = torch.where(self.count < 2, torch.inf, self.reach * self.scale)
+            # what has never moved has no size yet by which to call a row absurd
+            is_new = (self.count < 2) | (self.var <= VARIANCE_FLOOR)
+            bound = torch.where(is_new, torch.inf, self.reach * self.scale)
             value = value.clamp(self.center - bound, self.center + bound)
         batch_mean = value.mean(0)
         batch_var = value.var(0, correction=0)
@@ -210,7 +214,10 @@ class SaturatingMoments(RobustMoments):
     def _measure(self, sample: Float[Tensor, "rows dim"]) -> None:
         self.median.copy_(sample.mT.contiguous().median(-1).values)
         square = (sample - self.median).square()
-        rests = square <= VARIANCE_FLOOR
+        # the farthest hundredth is left out, of which a single absurd row may be
+        place = 1 + int((1 - FEW_ROWS) * (len(square) - 1))
+        far = square.mT.contiguous().kthvalue(place, -1).values
+        rests = square <= REST**2 * far
         counted = (~rests | (rests.float().mean(0) < MOST_ROWS)).to(square)
         counted = counted / counted.sum(0).clamp(min=1)
         var = (counted * square).sum(0)

@@ -288,6 +288,26 @@ def _check_course(config: Config) -> None:
             f"`actor_batch_fraction` must leave a row of `batch_size` ({run.batch_size}), "
             f"got {config.agent.actor_batch_fraction}."
         )
+    _check_batch(config)
+
+
+def _check_batch(config: Config) -> None:
+    """Refuse batches of which a model has no row, or whose spread is that of one row."""
+    batch_size, bonus = config.run.batch_size, config.bonus
+    if isinstance(bonus, CuriosityConfig):
+        dynamics = bonus.dynamics
+        if dynamics.members == "round_robin" and batch_size < dynamics.num_members:
+            raise ValueError(
+                f"`batch_size` must be at least `num_members` ({dynamics.num_members}), which "
+                f"share the rows, got {batch_size}."
+            )
+    adapts = bonus.kind != "none" and config.agent.curiosity.coefficient == "adaptive"
+    if adapts and math.ceil(batch_size / config.agent.actor_stride) < 2:
+        raise ValueError(
+            "`batch_size` must leave the actor two rows, by whose spread the curiosity "
+            f"coefficient adapts, got {batch_size} with `actor_batch_fraction` "
+            f"{config.agent.actor_batch_fraction}."
+        )
 
 
 def _check_device(name: str) -> None:

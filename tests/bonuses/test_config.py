@@ -100,8 +100,19 @@ def test_visits_are_counted_and_not_draws_from_replay():
     replay = ReplayBuffer(30, 1, 1)
     for number in range(50):
         replay.add(float(number), 0.0, 0.0, float(number), False, False)
-    newest = bonus_config("hash-count").sample_visited(replay, 256).observation
-    assert newest.flatten().tolist() == [*range(30, 50)]
+
+    def counted():
+        return [*bonus_config("hash-count").sample_visited(replay, 256).observation.flatten()]
+
+    assert counted() == [*range(20, 50)]  # what is held
+    assert counted() == []
+    for number in range(50, 57):
+        replay.add(float(number), 0.0, 0.0, float(number), False, False)
+    again = ReplayBuffer(30, 1, 1)
+    again.load_state_dict(replay.state_dict())
+    assert counted() == [*range(50, 57)]
+    replay = again
+    assert counted() == [*range(50, 57)]
 
 
 def test_an_unknown_kind_is_rejected():

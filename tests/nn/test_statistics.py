@@ -310,6 +310,25 @@ def test_a_feature_that_mostly_rests_is_measured_where_it_moves(moves):
     assert saturating(value).scale.item() == pytest.approx(1 / math.sqrt(3), rel=0.25)
 
 
+@pytest.mark.parametrize("unit", [1e-3, 1.0, 1e3])
+def test_what_counts_as_rest_does_not_depend_on_the_unit_of_the_task(unit):
+    torch.manual_seed(0)
+    moves = torch.rand(8_000, 1) < 0.1
+    value = torch.where(moves, torch.randn(8_000, 1), 1e-5 * torch.randn(8_000, 1))
+    assert saturating(unit * value).scale.item() / unit == pytest.approx(1, rel=0.25)
+
+
+def test_an_entry_that_begins_to_move_late_has_its_size_at_once():
+    torch.manual_seed(0)
+    moments = RunningMoments(1, reach=10.0)
+    for _ in range(20):
+        moments.update(torch.zeros(256, 1))
+    value = torch.where(torch.rand(256, 1) < 0.2, torch.rand(256, 1), 0.0)
+    moments.update(value)
+    expected = (value.square().mean() / 21).sqrt().item()
+    assert moments.scale.item() == pytest.approx(expected, rel=0.2)
+
+
 def test_a_flag_that_is_rarely_set_has_its_own_size_as_unit():
     flag = torch.zeros(4_000, 1)
     flag[::50] = 1.0

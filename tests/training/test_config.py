@@ -263,3 +263,12 @@ def test_where_a_run_lies_is_not_what_makes_it():
     assert config_key(config.to_json()) == config_key(moved.to_json())
     assert config_key(config.to_json()) != config_key(config.override(seed=4).to_json())
     assert not set(IGNORED) & config_key(config.to_json()).keys()
+
+
+def test_batches_that_leave_a_model_or_the_actor_too_little_are_refused():
+    with pytest.raises(ValueError, match=r"`batch_size` must be at least `num_members` \(5\)"):
+        Config.of(batch_size=4, actor_batch_fraction=1.0)
+    with pytest.raises(ValueError, match=r"`batch_size` must leave the actor two rows, .* got 8"):
+        Config.of(batch_size=8, actor_batch_fraction=0.125)
+    Config.of(batch_size=4, actor_batch_fraction=0.5, members="all")
+    Config.of(batch_size=1, actor_batch_fraction=1.0, bonus="none")

@@ -130,7 +130,9 @@ class BaselineBonus(Bonus):
         scored, late = transition, transition
         if visited is not None and self.follows_visits:
             late = visited
-            self._check(late)
+            has_none = isinstance(late.action, Tensor) and len(late.action) == 0
+            if not has_none:  # nothing new may have been visited
+                self._check(late)
         fresh_action = self._ask_policy(late, policy)
         self.observation_moments.update(transition.observation)
         if not self.ready:  # half of the first batch is remembered, the other half is scored

@@ -5,6 +5,7 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from deep_curiosity.bonuses.baselines.base import BaselineBonus
+from deep_curiosity.nn.statistics import VARIANCE_FLOOR
 from deep_curiosity.transitions import Transition, check_counts
 
 TABLE_SIZES = (131_011, 131_023, 131_041)  # primes: codes that share a slot in one part in others
@@ -16,7 +17,8 @@ class HashCountBonus(BaselineBonus):
     .. math:: 1 / \sqrt{n(\phi(x'))}, \quad \phi(x) = sign(A g(x))
 
     The code is a random projection's signs (SimHash), `g` whitens by the statistics of the first
-    batch, for ever: a state must keep its code. `g` also appends a one: the paper's hyperplanes
+    batch, for ever: a state must keep its code; entries that rest in it are taken as they are.
+    `g` also appends a one: the paper's hyperplanes
     all pass through the origin, which gives all states on a ray from there one code. Counts lie in
     several tables, of which the least is believed. What is counted are the rows shown to
     `observe` as visited, or else the batch: of batches from replay, one state is counted as often
@@ -93,8 +95,10 @@ class HashCountBonus(BaselineBonus):
     def update_statistics(self, transition: Transition, fresh_action: Tensor | None) -> None:
         """Count the batch's next states; the first batch fixes the code."""
         moments = self.observation_moments
+        # an entry that rests has no unit yet; in the least one there is, it would drown the others
+        scale = torch.where(moments.var > VARIANCE_FLOOR, moments.scale, 1.0)
         self.code_loc.copy_(torch.where(self.is_fixed, self.code_loc, moments.mean))
-        self.code_scale.copy_(torch.where(self.is_fixed, self.code_scale, moments.scale))
+        self.code_scale.copy_(torch.where(self.is_fixed, self.code_scale, scale))
         self.is_fixed.fill_(True)
         slot = self._slots(transition.next_observation)
         self.counts.scatter_add_(1, slot, torch.ones_like(slot, dtype=self.counts.dtype))

@@ -77,7 +77,7 @@ class NearestNeighboursBonus(BaselineBonus):
     ) -> Tensor:
         """Log of one more than the mean distance, in whitened units; 0 while all is new.
 
-        A state that is itself remembered is no neighbour of its own.
+        A state that is itself remembered is no neighbour of its own; other visits of it are.
         """
         assert next_observation is not None
         scale = self.observation_moments.scale
@@ -88,10 +88,14 @@ class NearestNeighboursBonus(BaselineBonus):
             self.states / scale,
             compute_mode="donot_use_mm_for_euclid_dist",
         )
-        is_other = filled & (distance > 0)
-        nearest = distance.masked_fill(~is_other, torch.inf).topk(self.neighbours, largest=False)
-        known = nearest.values.isfinite()
-        total = nearest.values.masked_fill(~known, 0.0).sum(-1)
+        distance = torch.nn.functional.pad(
+            distance.masked_fill(~filled, torch.inf), (0, 1), value=torch.inf
+        )
+        nearest = distance.topk(self.neighbours + 1, largest=False).values
+        is_itself = nearest[:, :1] == 0
+        nearest = torch.where(is_itself, nearest[:, 1:], nearest[:, :-1])
+        known = nearest.isfinite()
+        total = nearest.masked_fill(~known, 0.0).sum(-1)
         return torch.log1p(total / known.sum(-1).clamp(min=1))
 
     def update_statistics(self, transition: Transition, fresh_action: Tensor | None) -> None:

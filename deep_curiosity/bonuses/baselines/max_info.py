@@ -102,8 +102,9 @@ class InformationGainBonus(BaselineBonus):
         self.ensemble.outcome_moments.update(_change_and_reward(transition))
         if fresh_action is None:
             return
-        gain = self.standardization(self.score(transition.observation, fresh_action, None)).mean()
-        self.tuned_weight.follow(gain, self.every.interval)
+        gain = self.score(transition.observation, fresh_action, None).mean()
+        moments = self.standardization.moments
+        self.tuned_weight.follow((gain - moments.mean[0]) / moments.scale[0], self.every.interval)
 
     def metrics(self) -> dict[str, Tensor]:
         """Statistics of the gain, in nats a dimension, and the weight as it now stands."""

@@ -47,6 +47,24 @@ def test_states_on_one_ray_have_different_codes():
     assert not near.equal(far)
 
 
+def test_an_entry_that_rests_at_first_does_not_drown_the_others():
+    torch.manual_seed(0)
+    bonus = HashCountBonus(3, 1, **RAW)
+    state = torch.randn(256, 3)
+    state[:, 2] = 0.0
+    bonus.observe(transition(state))
+    assert len(bonus._slots(torch.randn(2_000, 3))[0].unique()) > 500
+
+
+def test_no_visit_changes_no_count():
+    bonus = HashCountBonus(2, 1, **RAW)
+    state = torch.randn(50, 2)
+    bonus.observe(transition(state))
+    counts = bonus.counts.clone()
+    bonus.observe(transition(state), None, transition(state[:0]))
+    assert bonus.counts.equal(counts)
+
+
 def test_more_bits_tell_states_apart_more_finely():
     state = torch.randn(200, 2)
     numbers = []

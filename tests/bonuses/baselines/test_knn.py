@@ -60,7 +60,19 @@ def test_a_state_that_is_remembered_is_no_neighbour_of_its_own():
     bonus = small()
     update_statistics(bonus, torch.tensor([[1e3], [1e3], [1e3 + 1], [1e3 + 3]]))
     value = compute(bonus, torch.tensor([[1e3]])).item()
-    assert value == pytest.approx(math.log(1 + (1 + 3) / 2))
+    assert value == pytest.approx(math.log(1 + (0 + 1) / 2))  # it was there once more
+    value = compute(bonus, torch.tensor([[1e3 + 1]])).item()
+    assert value == pytest.approx(math.log(1 + (1 + 1) / 2))
+
+
+def test_where_one_always_is_earns_less_than_what_is_beside_it():
+    """All visits of a state were left out with its own, and what stood still was rare."""
+    torch.manual_seed(0)
+    bonus = small(memory=64)
+    place = torch.cat([torch.full((60, 1), 3.0), 0.1 * torch.randn(4, 1)])
+    update_statistics(bonus, place)
+    often, beside, seldom = compute(bonus, torch.tensor([[3.0], [3.01], [0.5]])).tolist()
+    assert often == 0 and often < beside < seldom
 
 
 def test_more_neighbours_than_memory_are_rejected():

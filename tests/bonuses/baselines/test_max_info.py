@@ -30,6 +30,17 @@ def test_the_weight_rises_while_the_policy_gains_less_than_it_did(past, rises):
     assert (bonus.metrics()["weight"] > 1).item() is rises
 
 
+def test_the_weight_moves_alike_whatever_it_is():
+    moved = []
+    for weight in (0.01, 1.0, 10.0):
+        torch.manual_seed(0)
+        bonus = InformationGainBonus(3, 2, **SMALL | {"weight": weight})
+        for _ in range(3):
+            bonus.observe(transition(), lambda observation: torch.ones(len(observation), 2))
+        moved.append(bonus.tuned_weight.log_factor.item())
+    assert moved[0] != 0 and moved == pytest.approx(moved[:1] * 3)
+
+
 def test_the_weight_stays_without_a_policy_or_where_it_is_not_tuned():
     for bonus, policy in (
         (InformationGainBonus(3, 2, **SMALL), None),
