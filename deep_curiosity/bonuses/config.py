@@ -20,7 +20,7 @@ from deep_curiosity.bonuses.baselines import (
 from deep_curiosity.bonuses.curiosity import CuriosityBonus, check_entries
 from deep_curiosity.bonuses.decomposition import coefficients_of
 from deep_curiosity.bonuses.dynamics import DynamicsEnsemble, Whitening
-from deep_curiosity.bonuses.marginal import NextStateMarginal
+from deep_curiosity.bonuses.marginal import TARGET_PERPLEXITY, NextStateMarginal
 from deep_curiosity.configuration import LEAST_LEARNING_RATE, Group, setting
 from deep_curiosity.nn.networks import Adam
 
@@ -107,6 +107,16 @@ class BaselineConfig(WeightedConfig):
 
     bonus_class: ClassVar[type[Bonus]]
     has_networks: ClassVar[bool] = True
+
+    def __post_init__(self) -> None:
+        """Refuse a learning rate of networks that there are not."""
+        super().__post_init__()
+        usual = type(self).model_learning_rate
+        if not self.has_networks and self.model_learning_rate != usual:
+            raise ValueError(
+                f"`model_learning_rate` must be left out with {self.kind}, which has no networks, "
+                f"got {self.model_learning_rate}."
+            )
 
     def make(self, observation_dim: int, action_dim: int, hidden_dims: Sizes) -> Bonus:
         """The bonus of this name."""
@@ -229,6 +239,15 @@ class MarginalConfig(Group):
     half_life: float | None = setting(10.0, name="marginal_half_life", above=0, at_most=1e6)
     """Episodes after which a state that was visited counts half; none forgets nothing, so that
     p(x') is that of all replay."""
+
+    def __post_init__(self) -> None:
+        """Refuse a perplexity that so few components cannot have."""
+        super().__post_init__()
+        if self.bandwidth == "perplexity" and self.components <= TARGET_PERPLEXITY:
+            raise ValueError(
+                f"`components` must be above {TARGET_PERPLEXITY:g} where `bandwidth` is "
+                f"perplexity, got {self.components}."
+            )
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,7 @@ from deep_curiosity.speed.precision import matmul_is_float32
 from deep_curiosity.transitions import check_counts, is_number
 
 LOG_BANDWIDTH_RANGE = (math.log(1e-3), math.log(10.0))  # searched for a target perplexity
+TARGET_PERPLEXITY = 8.0
 NUM_MEASURED = 256  # components over which a mean is taken
 BISECTIONS = 20  # halvings of that range: to a factor of 1.00001
 
@@ -63,7 +64,7 @@ class NextStateMarginal(nn.Module):
         *,
         components: int = 2048,
         bandwidth: float | Literal["silverman", "perplexity"] = "silverman",
-        target_perplexity: float = 8.0,
+        target_perplexity: float = TARGET_PERPLEXITY,
     ) -> None:
         super().__init__()
         check_counts(dim=dim)

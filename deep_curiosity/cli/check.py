@@ -78,8 +78,8 @@ def describe(found: Profile, action_space: object) -> str:
     ]
     if any(row["note"] == "heavy tail" for row in found.features()):
         lines.append(
-            "Heavy tails blur the rest: bound such features before the bonus is given them, "
-            'or make it with whitening="robust".'
+            "Heavy tails are cut by the default whitening, and blur the rest with "
+            'whitening="moments": bound such features if they matter little.'
         )
     return "\n".join([*lines, ""])
 

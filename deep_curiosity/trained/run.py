@@ -10,6 +10,7 @@ from deep_curiosity.bonuses.frozen import FrozenBonus
 from deep_curiosity.schedules import Schedule
 from deep_curiosity.trained.model import TrainedModel, load_bonus, load_model
 from deep_curiosity.trained.policy import TrainedPolicy, load
+from deep_curiosity.training.callbacks import Callback
 from deep_curiosity.training.config import Config
 from deep_curiosity.training.hunger import HungerFunction
 
@@ -45,6 +46,8 @@ def train(
     make_env: Callable[[], Any] | None = None,
     preset: str | None = None,
     hunger: Any = None,
+    on_evaluation: Callback | None = None,
+    on_log: Callback | None = None,
     show_progress: bool = True,
     **settings: Any,
 ) -> TrainedRun:
@@ -56,6 +59,9 @@ def train(
         preset: How networks sample a batch: `"fast"`, the default, `"exact"` or `"paper"`.
         hunger: A setting as any other; or a function of observation and info, see
             `deep_curiosity.training.train`.
+        on_evaluation: Function of step and values, called after each evaluation; the run stops
+            where it returns True.
+        on_log: The same for each row of progress.csv.
         show_progress: Show a bar with return, bonus in nats and steps per second.
         **settings: Of `Config`, by their flat names, such as `total_steps`, `out` or
             `bonus="rnd"`.
@@ -78,8 +84,15 @@ def train(
     if env is not None:
         settings["env_id"] = env
     config = Config.of(preset, **settings)
-    summary = train_agent(config, hunger=function, make_env=make_env, show_progress=show_progress)
-    return TrainedRun(config.run.out, summary)
+    summary = train_agent(
+        config,
+        hunger=function,
+        make_env=make_env,
+        on_evaluation=on_evaluation,
+        on_log=on_log,
+        show_progress=show_progress,
+    )
+    return TrainedRun(config.run.out.absolute(), summary)
 
 
 def continue_run(
@@ -88,6 +101,8 @@ def continue_run(
     total_steps: int | None = None,
     make_env: Callable[[], Any] | None = None,
     hunger: HungerFunction | None = None,
+    on_evaluation: Callback | None = None,
+    on_log: Callback | None = None,
     show_progress: bool = True,
 ) -> TrainedRun:
     """Continue the run in a folder, in place.
@@ -97,6 +112,8 @@ def continue_run(
         total_steps: Environment steps, those already taken included; as before when `None`.
         make_env: The function that made its environment, if one did.
         hunger: The function of observation and info that it was begun with, if it was.
+        on_evaluation: As in `train`.
+        on_log: As in `train`.
         show_progress: As in `train`.
 
     Returns:
@@ -112,6 +129,8 @@ def continue_run(
         total_steps=total_steps,
         hunger=hunger,
         make_env=make_env,
+        on_evaluation=on_evaluation,
+        on_log=on_log,
         show_progress=show_progress,
     )
-    return TrainedRun(Path(folder).expanduser(), summary)
+    return TrainedRun(Path(folder).expanduser().absolute(), summary)

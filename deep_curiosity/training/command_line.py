@@ -259,7 +259,7 @@ def read_settings(pairs: Sequence[str]) -> dict[str, Any]:
     values: dict[str, Any] = {}
     for pair in pairs:
         name, separator, text = pair.partition("=")
-        if not separator:
+        if not (separator and name):
             raise ValueError(f"`set` must be written as name=value, got {pair!r}.")
         if name in values:
             raise ValueError(f"`set` must name a setting once, got {name!r} twice.")

@@ -118,3 +118,15 @@ def test_visits_are_counted_and_not_draws_from_replay():
 def test_an_unknown_kind_is_rejected():
     with pytest.raises(ValueError, match=r"`bonus` must be one of curiosity, .*, got 'luck'"):
         bonus_config("luck")
+
+
+@pytest.mark.parametrize("kind", ["nearest-neighbours", "hash-count"])
+def test_a_learning_rate_of_networks_that_there_are_not_is_refused(kind):
+    with pytest.raises(ValueError, match=f"`model_learning_rate` must be left out with {kind}"):
+        override(bonus_config(kind), model_learning_rate=0.9)
+
+
+def test_so_few_components_have_no_such_perplexity():
+    with pytest.raises(ValueError, match="`components` must be above 8 where `bandwidth` is perp"):
+        MarginalConfig(bandwidth="perplexity", components=8)
+    MarginalConfig(bandwidth="perplexity", components=9)

@@ -36,6 +36,20 @@ def test_a_run_in_one_call(tmp_path):
     assert run.bonus.ready
 
 
+def test_callbacks_are_told_and_stop_a_run_that_lies_where_it_began(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    told = []
+    each = TINY | {"evaluation_interval": 20}
+    run = dc.train(env=TASK, out="run", on_evaluation=lambda step, _: step == 20, **each)
+    assert run.summary["total_steps"] == 20
+    run = dc.continue_run(
+        "run", on_evaluation=lambda step, values: told.append(step), show_progress=False
+    )
+    assert told == [40]
+    monkeypatch.chdir(tmp_path.parent)
+    assert run.policy.predict(np.zeros(3))[0].shape == (1,)
+
+
 class Arm(gymnasium.Env):
     """Observations are dictionaries in dictionaries, actions lie in [-2, 2]."""
 

@@ -257,6 +257,8 @@ def test_settings_are_read_from_pairs_as_python_or_as_text():
         "compile": "off",
         "a": "1=2",
     }
+    with pytest.raises(ValueError, match="`set` must be written as name=value, got '=5'"):
+        read_settings(["=5"])
     assert read_settings(["deep=" + "(" * 5_000])["deep"] == "(" * 5_000
     with pytest.raises(ValueError, match="`set` must be written as name=value, got 'seed'"):
         read_settings(["seed"])

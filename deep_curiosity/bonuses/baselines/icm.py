@@ -17,7 +17,9 @@ FORWARD_SHARE = 0.2  # of the forward model in the loss, the paper's beta
 class ICMBonus(BaselineBonus):
     r"""How wrong a forward model was about the next state: the intrinsic curiosity module.
 
-    .. math:: \frac{1}{2} \| \hat\phi(x, a) - \phi(x') \|^2
+    .. math:: \log(\frac{1}{2} \| \hat\phi(x, a) - \phi(x') \|^2)
+
+    The paper's bonus is what the logarithm, which is ours, is taken of: without it few rows rule.
 
     The features `phi` are those from which an inverse model predicts what was done.
 
