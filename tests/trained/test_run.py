@@ -47,7 +47,7 @@ def test_callbacks_are_told_and_stop_a_run_that_lies_where_it_began(tmp_path, mo
     )
     assert told == [40]
     monkeypatch.chdir(tmp_path.parent)
-    assert run.policy.predict(np.zeros(3))[0].shape == (1,)
+    assert run.policy.predict(np.zeros(3))[0].shape == (2,)
 
 
 class Arm(gymnasium.Env):
