@@ -400,11 +400,24 @@ def task_spaces(environment: gymnasium.Env) -> TaskSpaces:
     )
 
 
-def _entries(space: spaces.Space, path: tuple[str, ...] = ()) -> list[Entry]:
-    """Entries of a dictionary space in the order in which it is flattened; none of another."""
-    if not isinstance(space, spaces.Dict):
-        return [Entry(path, space.shape)] if path and isinstance(space, spaces.Box) else []
-    below = [_entries(each, (*path, key)) for key, each in space.spaces.items()]
+def _entries(space: spaces.Space, path: tuple[str | int, ...] = ()) -> list[Entry]:
+    """Entries of a dictionary or tuple in the order in which it is flattened; none of another."""
+    if isinstance(space, spaces.Dict | spaces.Tuple):
+        parts: Iterable[Any] = (
+            space.spaces.items() if isinstance(space, spaces.Dict) else enumerate(space.spaces)
+        )
+        below = [_entries(each, (*path, key)) for key, each in parts]
+    elif not path:
+        return []
+    elif isinstance(space, spaces.Box | spaces.MultiBinary):
+        return [Entry(path, space.shape)]
+    elif isinstance(space, spaces.Discrete):
+        return [Entry(path, (), (int(space.n),), (int(space.start),))]
+    elif isinstance(space, spaces.MultiDiscrete):
+        choices, starts = space.nvec.flatten().tolist(), space.start.flatten().tolist()
+        return [Entry(path, space.shape, tuple(choices), tuple(starts))]
+    else:
+        return []
     return [entry for each in below for entry in each] if all(below) else []
 
 

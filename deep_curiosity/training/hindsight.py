@@ -171,9 +171,9 @@ def _goal_entry(spaces: TaskSpaces, key: str) -> Entry:
         ValueError: If there is none.
     """
     for entry in spaces.entries:
-        if entry.path == (key,):
+        if entry.path == (key,) and not entry.choices:
             return entry
-    there = [".".join(entry.path) for entry in spaces.entries]
+    there = [".".join(map(str, entry.path)) for entry in spaces.entries]
     raise ValueError(
         "`hindsight` must be left out where observations are no dictionary of boxes with "
         f"{ACHIEVED_GOAL} and {DESIRED_GOAL}, among `observation_keys` if these are set, got "

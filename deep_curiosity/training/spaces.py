@@ -17,11 +17,21 @@ ACHIEVED_GOAL, DESIRED_GOAL = "achieved_goal", "desired_goal"
 
 
 class Entry(NamedTuple):
-    """An entry of a dictionary of observations."""
+    """An entry of a dictionary or tuple of observations."""
 
-    path: tuple[str, ...]
-    """Its key, or the keys that lead to it through dictionaries in dictionaries."""
+    path: tuple[str | int, ...]
+    """Its key, or the keys and places that lead to it through dictionaries and tuples."""
     shape: tuple[int, ...]
+    choices: tuple[int, ...] = ()
+    """Of each number of an entry that holds choices, how many there are: it becomes as many zeros
+    and ones; none for an entry of measured numbers."""
+    starts: tuple[int, ...] = ()
+    """Of each, the first of its choices."""
+
+    @property
+    def size(self) -> int:
+        """Length of its part of the vector."""
+        return sum(self.choices) if self.choices else math.prod(self.shape)
 
 
 @dataclass(frozen=True)
@@ -34,12 +44,12 @@ class TaskSpaces:
     action_high: tuple[float, ...]
     action_dtype: str
     entries: tuple[Entry, ...] = ()
-    """Of a dictionary of observations, in their order in the vector; none where it is no
-    dictionary of boxes."""
+    """Of a dictionary or tuple of observations, in their order in the vector; none where it is an
+    array."""
 
     def places(self, key: str) -> tuple[int, ...]:
         """Places in the vector of what a dictionary of observations has under a key."""
-        sizes = [math.prod(entry.shape) for entry in self.entries]
+        sizes = [entry.size for entry in self.entries]
         return tuple(
             place
             for entry, size, end in zip(self.entries, sizes, accumulate(sizes), strict=True)
@@ -55,7 +65,13 @@ class TaskSpaces:
     def from_json(cls, values: Mapping[str, Any]) -> "TaskSpaces":
         """Read what `to_json` gave."""
         entries = tuple(
-            Entry(tuple(entry["path"]), tuple(entry["shape"])) for entry in values["entries"]
+            Entry(
+                tuple(entry["path"]),
+                tuple(entry["shape"]),
+                tuple(entry.get("choices", ())),
+                tuple(entry.get("starts", ())),
+            )
+            for entry in values["entries"]
         )
         low, high = tuple(values["action_low"]), tuple(values["action_high"])
         return cls(values["observation_dim"], low, high, values["action_dtype"], entries)
@@ -78,7 +94,8 @@ class TaskSpaces:
         Raises:
             ValueError: If it is a dictionary and the task's are none, or it lacks an entry.
         """
-        if not isinstance(observation, Mapping):
+        is_tuple = isinstance(observation, tuple) and bool(self.entries)
+        if not (isinstance(observation, Mapping) or is_tuple):
             return np.asarray(observation, dtype=np.float32)
         if not self.entries:
             raise ValueError(
@@ -105,19 +122,31 @@ def read_spaces(folder: Path) -> TaskSpaces | None:
 
 def _vector(observation: Any, entry: Entry) -> NDArray[np.float32]:
     """An entry of a dictionary, flattened behind the batch."""
-    value = observation
+    value, name = observation, ".".join(map(str, entry.path))
     for key in entry.path:
-        if not isinstance(value, Mapping) or key not in value:
+        try:
+            value = value[key]
+        except (IndexError, KeyError, TypeError) as error:
+            there = sorted(observation) if isinstance(observation, Mapping) else observation
             raise ValueError(
-                f"`observation` must have the entry {'.'.join(entry.path)!r}, got "
-                f"{sorted(observation)}."
-            )
-        value = value[key]
+                f"`observation` must have the entry {name!r}, got {there}."
+            ) from error
     array = np.asarray(value, dtype=np.float32)
     batch = array.shape[: array.ndim - len(entry.shape)]
     if array.shape != (*batch, *entry.shape):
         raise ValueError(
-            f"`observation` must have the shape {entry.shape} in its entry "
-            f"{'.'.join(entry.path)!r}, got {array.shape}."
+            f"`observation` must have the shape {entry.shape} in its entry {name!r}, "
+            f"got {array.shape}."
         )
-    return array.reshape(*batch, -1)
+    flat = array.reshape(*batch, -1)
+    if not entry.choices:
+        return flat
+    chosen = [
+        flat[..., place, None] == np.arange(start, start + number)
+        for place, (number, start) in enumerate(zip(entry.choices, entry.starts, strict=True))
+    ]
+    if not all(one.any(-1).all() for one in chosen):
+        raise ValueError(
+            f"`observation` must have one of the choices in its entry {name!r}, got {value}."
+        )
+    return np.concatenate(chosen, axis=-1).astype(np.float32)

@@ -308,6 +308,13 @@ class WithCount(Reach):
         return super().seen() | {"observation": 1}
 
 
+class CountedGoal(Reach):
+    observation_space = spaces.Dict({**GOALS, "desired_goal": spaces.Discrete(3)})
+
+    def seen(self):
+        return super().seen() | {"desired_goal": 1}
+
+
 class Uneven(Reach):
     observation_space = spaces.Dict(
         {"observation": BOX, "achieved_goal": BOX, "desired_goal": spaces.Box(-1.0, 1.0, (1,))}
@@ -331,14 +338,18 @@ class Costly(Reach):
         return observation, reward - 0.1 * float(np.square(action).sum()), *rest
 
 
+def test_choices_beside_the_goals_are_left_as_they_are():
+    assert make_hindsight(4, made(WithCount)) is not None
+
+
 @pytest.mark.parametrize(
     ("task", "settings", "message"),
     [
         (Plain, {}, "`hindsight` must be left out where observations are no .* got vectors"),
         (
-            WithCount,
+            CountedGoal,
             {},
-            "no dictionary of boxes with achieved_goal and desired_goal.* got vectors",
+            "no dictionary of boxes with achieved_goal and desired_goal.* got ",
         ),
         (
             Reach,

@@ -106,3 +106,51 @@ def test_a_damaged_file_is_named(tmp_path, text):
     (tmp_path / SPACES).write_text(text)
     with pytest.raises(ValueError, match=f"`{SPACES}` must hold spaces in JSON, got {tmp_path}"):
         read_spaces(tmp_path)
+
+
+MIXED = spaces.Tuple(
+    (
+        spaces.Dict({"mode": spaces.Discrete(3, start=2), "at": spaces.Box(-9, 9, (2,))}),
+        spaces.MultiDiscrete([2, 3]),
+        spaces.MultiBinary(2),
+    )
+)
+
+
+class Mixed(gymnasium.Env):
+    observation_space, action_space = MIXED, spaces.Box(-1.0, 1.0, (1,))
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        return self.observation_space.sample(), {}
+
+
+def test_choices_become_zeros_and_ones_as_gymnasium_flattens_them(tmp_path):
+    environment = make_environment(
+        EnvironmentConfig("make_env", max_episode_steps=5), make_env=Mixed
+    )
+    write_json(tmp_path / SPACES, task_spaces(environment).to_json())
+    found = read_spaces(tmp_path)
+    MIXED.seed(0)
+    for _ in range(20):
+        observation = MIXED.sample()
+        expected = spaces.flatten(MIXED, observation)
+        assert found.to_vector(observation).tolist() == expected.tolist()
+    many = ({"mode": [2, 4], "at": np.ones((2, 2))}, [[0, 2], [1, 0]], [[0, 1], [1, 1]])
+    assert found.to_vector(many)[:, :5].tolist() == [[1, 1, 1, 0, 0], [1, 1, 0, 0, 1]]
+
+
+@pytest.mark.parametrize(
+    ("observation", "message"),
+    [
+        (({"mode": 5, "at": [0, 0]}, [0, 0], [0, 0]), r"one of the choices in its entry '0.mode'"),
+        (({"mode": 2, "at": [0, 0]}, [0, 0]), r"must have the entry '2'"),
+        (({"mode": 2, "at": [0, 0]}, [0, 0, 1], [0, 0]), r"the shape \(2,\) in its entry '1'"),
+    ],
+)
+def test_an_observation_of_other_choices_is_refused(observation, message):
+    environment = make_environment(
+        EnvironmentConfig("make_env", max_episode_steps=5), make_env=Mixed
+    )
+    with pytest.raises(ValueError, match=message):
+        task_spaces(environment).to_vector(observation)
