@@ -12,8 +12,8 @@ from torch import Tensor, nn
 
 from deep_curiosity.requirements import require
 from deep_curiosity.trained.policy import ActionBounds, TrainedPolicy
-from deep_curiosity.trained.source import BONUS_WEIGHTS, WEIGHTS, Trained, Weights, read_trained
-from deep_curiosity.training.log import CONFIG, write_json
+from deep_curiosity.trained.source import BONUS_WEIGHTS, Trained, Weights, read_trained
+from deep_curiosity.training.log import CONFIG, WEIGHTS, write_json
 from deep_curiosity.training.spaces import SPACES
 
 Format = Literal["onnx", "torch", "safetensors"]

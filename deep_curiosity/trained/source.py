@@ -9,10 +9,9 @@ from deep_curiosity.bonuses.config import BONUS_CONFIGS
 from deep_curiosity.requirements import require
 from deep_curiosity.training.checkpoint import load_checkpoint
 from deep_curiosity.training.config import Config
-from deep_curiosity.training.log import CONFIG, read_values
+from deep_curiosity.training.log import CONFIG, WEIGHTS, read_values
 from deep_curiosity.training.spaces import TaskSpaces, read_spaces
 
-WEIGHTS = "policy.safetensors"
 BONUS_WEIGHTS = "bonus.safetensors"
 POLICY_PREFIX = "policy."
 

@@ -16,6 +16,7 @@ from deep_curiosity.training.spaces import SPACES
 CONFIG = "config.json"
 PROGRESS = "progress.csv"
 SUMMARY = "summary.json"
+WEIGHTS = "policy.safetensors"  # of an exported policy, which is no run
 WRITTEN = (CONFIG, SPACES, PROGRESS, SUMMARY, NEWEST, PREVIOUS, "run.png")
 """All that a run writes over, but for files with names of their own."""
 
@@ -72,8 +73,13 @@ def read_config(folder: Path, name: str = "folder") -> Config:
 
     Raises:
         FileNotFoundError: If the folder holds no run.
-        ValueError: If they are none, naming the file and the setting.
+        ValueError: If they are none, naming the file and the setting; or of an exported policy.
     """
+    if (folder / WEIGHTS).exists():
+        raise ValueError(
+            f"`{name}` must be the folder of a run, got {folder}, which is an exported policy: "
+            "deep_curiosity.load takes it."
+        )
     values = read_values(folder, name)
     return Config.from_json(values | {"out": str(folder)}, source=str(folder / CONFIG))
 

@@ -109,6 +109,15 @@ def test_a_folder_says_nothing_of_where_it_was_made(run_of, tmp_path):
     }
 
 
+def test_an_exported_policy_is_no_run_to_continue(run_of, tmp_path):
+    out = dc.export(run_of(), tmp_path / "policy")
+    with pytest.raises(
+        ValueError, match=r"got .*policy, which is an exported policy: deep_curios"
+    ):
+        dc.continue_run(out)
+    assert not (out / "checkpoint.pt").exists()
+
+
 def test_the_format_may_be_named(run_of, tmp_path):
     path = dc.export(run_of(), tmp_path / "policy.bin", format="torch")
     action = run_torch(path, {"observation": OBSERVATIONS})
