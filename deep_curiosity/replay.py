@@ -339,6 +339,14 @@ class ReplayBuffer:
         age = self._arange(number).flip(0)
         return self._at((self._num_added - 1 - age) % self.capacity)
 
+    def cut_off(self) -> None:
+        """End the episodes in progress by the clock: nothing is known of what follows."""
+        age = torch.arange(min(self.num_envs, len(self)), device=self._rows.device)
+        slot = (self._num_added - 1 - age) % self.capacity
+        goes_on = (self._rows[slot, -2:] == 0).all(-1)
+        self._rows[slot[goes_on], -1] = 1.0
+        self._last, self._num_searched = None, 0
+
     def mean_episode_length(self) -> float:
         """Transitions held for each episode that ended among them, or all while none did."""
         ended = (self._rows[: len(self), -2:] > 0).any(-1).sum()

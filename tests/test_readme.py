@@ -19,6 +19,7 @@ OF_THE_COMMAND_LINE = {
     "preset": "fast",
     "settings": "None",
     "stop_when_solved": "None",
+    "new_episode": "False",
 }
 OF_OTHER_COMMANDS = {
     "help", "help-all",

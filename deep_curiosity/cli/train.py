@@ -17,7 +17,12 @@ def main(arguments: Sequence[str]) -> int:
     command = parse(arguments, description=__doc__ or "", prog="deep-curiosity train")
     solved = command.stop_when_solved
     on_evaluation = None if solved is None else stop_when_solved(solved)
-    summary = train(command.config, resume=command.resume, on_evaluation=on_evaluation)
+    summary = train(
+        command.config,
+        resume=command.resume,
+        new_episode=command.new_episode,
+        on_evaluation=on_evaluation,
+    )
     folder = command.config.run.out
     print(f"evaluation return {summary['evaluation_return']}, records in {folder}")
     return 0

@@ -100,6 +100,7 @@ def continue_run(
     *,
     total_steps: int | None = None,
     make_env: Callable[[], Any] | None = None,
+    new_episode: bool = False,
     hunger: HungerFunction | None = None,
     on_evaluation: Callback | None = None,
     on_log: Callback | None = None,
@@ -111,6 +112,8 @@ def continue_run(
         folder: Of the run.
         total_steps: Environment steps, those already taken included; as before when `None`.
         make_env: The function that made its environment, if one did.
+        new_episode: Go on with the next episode: for a task, such as a robot, that cannot repeat
+            the one in progress.
         hunger: The function of observation and info that it was begun with, if it was.
         on_evaluation: As in `train`.
         on_log: As in `train`.
@@ -129,6 +132,7 @@ def continue_run(
         total_steps=total_steps,
         hunger=hunger,
         make_env=make_env,
+        new_episode=new_episode,
         on_evaluation=on_evaluation,
         on_log=on_log,
         show_progress=show_progress,

@@ -271,6 +271,22 @@ class Collector:
         self._num_broken_in_row = state["num_broken_in_row"]
         _check_repeated(self._raw_observation, state["raw_observation"].numpy(), oldest)
         self.observation = state["observation"].numpy()
+        self._load_usual_sizes(state)
+
+    def begin_after(self, state: dict[str, Any]) -> None:
+        """Begin the next episodes, for a task that cannot be brought back into those in progress.
+
+        Args:
+            state: Of the collector that went before, as `state_dict` gave it.
+        """
+        state = self._without_cuts(state["observation"]) | state
+        self.num_episodes = state["num_episodes"]
+        self._num_broken_in_row = state["num_broken_in_row"]
+        self._load_usual_sizes(state)
+        self.actions = []
+        self._start(np.ones(self.environment.num_envs, dtype=bool))
+
+    def _load_usual_sizes(self, state: dict[str, Any]) -> None:
         self._usual_observation.size = state["usual_observation"].numpy()
         self._usual_reward.size = state["usual_reward"].numpy()
 
@@ -345,7 +361,7 @@ def _check_repeated(observation: np.ndarray, expected: np.ndarray, num_steps: in
         raise RuntimeError(
             "`env_id` must name a task that repeats an episode from its seed and actions, to be "
             f"resumed; after {num_steps} steps it gave {observation.tolist()}, before "
-            f"{expected.tolist()}."
+            f"{expected.tolist()}; with `new_episode` a run goes on in the next one."
         )
 
 

@@ -69,12 +69,18 @@ SETTINGS_HELP = "JSON file of settings by their flat names, as tune writes it; f
 STOP_HELP = "Mean return of an evaluation from which the run stops, as solved; it can be resumed."
 
 
+NEW_EPISODE_HELP = (
+    "With --resume: go on with the next episode, where a task does not repeat the one in progress."
+)
+
+
 class Command(NamedTuple):
     """What a command line asks for."""
 
     config: Config
     resume: bool
     stop_when_solved: float | None = None
+    new_episode: bool = False
 
 
 def parse(
@@ -112,6 +118,8 @@ def parse(
     values = {name: _from_text(each, read[name]) for name, each in flat(base).items()}
     config = base.override(**values)
     if resume is None:
+        if read["new_episode"]:
+            raise ValueError("`new_episode` must be left out without --resume, got True.")
         check_folder("out", config.run.out)
         return Command(config, False, read["stop_when_solved"])
     if config.run.out.resolve() != own.run.out.resolve():
@@ -119,7 +127,8 @@ def parse(
             f"`out` must be left out where a run is continued in {own.run.out}, "
             f"got {config.run.out}."
         )
-    return Command(merge_config(config, own), True, read["stop_when_solved"])
+    merged = merge_config(config, own)
+    return Command(merged, True, read["stop_when_solved"], read["new_episode"])
 
 
 def _read_own(folder: str) -> Config:
@@ -185,12 +194,14 @@ def _command_class(base: Config, show_all: bool) -> type:
     resumed = Annotated[Path | None, tyro.conf.arg(help=RESUME_HELP)]
     file = Annotated[Path | None, tyro.conf.arg(help=SETTINGS_HELP)]
     solved = Annotated[float | None, tyro.conf.arg(help=STOP_HELP)]
+    anew = Annotated[bool, tyro.conf.arg(help=NEW_EPISODE_HELP)]
     own: list[Any] = [
         ("resume", resumed, field(default=None)),
         ("bonus", bonus, field(default=base.bonus.kind)),
         ("preset", preset, field(default="fast")),
         ("settings", file, field(default=None)),
         ("stop_when_solved", solved, field(default=None)),
+        ("new_episode", anew, field(default=False)),
     ]
     for name, each in flat(base).items():
         hidden = () if show_all or name in COMMON else (tyro.conf.Suppress,)

@@ -29,6 +29,7 @@ def train(
     resume: bool = False,
     hunger: HungerFunction | None = None,
     make_env: MakeEnv | None = None,
+    new_episode: bool = False,
     on_evaluation: Callback | None = None,
     on_log: Callback | None = None,
     show_progress: bool = True,
@@ -49,6 +50,8 @@ def train(
             its hunger. A resumed run must be given it again.
         make_env: Makes an environment of the caller's own, anew at every call, in the place of
             `env_id`. A resumed run must be given it again.
+        new_episode: Resume with the next episode, and count the one in progress as cut off by the
+            clock: for a task that does not repeat an episode from its seed and actions.
         on_evaluation: Called after every evaluation with the step and its `eval/return` and
             `eval/success_rate`; `True` stops the run.
         on_log: Called at every row of progress.csv with the step and the values of the row, by
@@ -66,12 +69,18 @@ def train(
             run would write over.
         FileNotFoundError: If there is no run to continue.
         LeaseError: If another process writes into the folder, or takes it over.
+        RuntimeError: If a resumed run's episode in progress does not repeat itself.
         ValueError: If the environment or a setting is not one the agent can take.
     """
     # 1. Initialise policy, values, model and replay, or restore them
     with (
         open_run(
-            config, resume=resume, hunger=hunger, make_env=make_env, quiet=not show_progress
+            config,
+            resume=resume,
+            hunger=hunger,
+            make_env=make_env,
+            new_episode=new_episode,
+            quiet=not show_progress,
         ) as run,
         catch_interruption() as interruption,
     ):
@@ -169,6 +178,7 @@ def continue_run(
     total_steps: int | None = None,
     hunger: HungerFunction | None = None,
     make_env: MakeEnv | None = None,
+    new_episode: bool = False,
     on_evaluation: Callback | None = None,
     on_log: Callback | None = None,
     show_progress: bool = True,
@@ -181,6 +191,7 @@ def continue_run(
         total_steps: Environment steps, those already taken included; as before when `None`.
         hunger: As in `train`; given again where the run had one.
         make_env: As in `train`.
+        new_episode: As in `train`.
         on_evaluation: As in `train`.
         on_log: As in `train`.
         show_progress: As in `train`.
@@ -204,6 +215,7 @@ def continue_run(
         resume=True,
         hunger=hunger,
         make_env=make_env,
+        new_episode=new_episode,
         on_evaluation=on_evaluation,
         on_log=on_log,
         show_progress=show_progress,

@@ -303,14 +303,23 @@ class Run:
         save_checkpoint(self.config.run.out, state, check=self.lease.check)
         self.saved_step = self.run_log.step
 
-    def restore(self, state: dict[str, Any]) -> None:
+    def restore(self, state: dict[str, Any], *, new_episode: bool = False) -> None:
         """Go on where a checkpoint was written; one of an earlier version says less.
+
+        Args:
+            state: Of the checkpoint.
+            new_episode: Cut off the episodes in progress, and begin the next ones.
 
         Raises:
             DivergedError: If its weights are not finite.
+            RuntimeError: If an episode in progress does not repeat itself.
         """
-        self.collector.load_state_dict(state["collector"])
-        self.learner.load_state_dict(state["learner"])
+        come_back = self.collector.begin_after if new_episode else self.collector.load_state_dict
+        come_back(state["collector"])
+        self.learner.load_state_dict(state["learner"])  # random numbers last of all
+        if new_episode:
+            self.learner.replay.cut_off()
+            state = state | {"action": None}
         self.run_log = RunLog.from_state(state["run_log"])
         self.metrics = state.get("metrics", {})
         action = state.get("action")
@@ -363,6 +372,7 @@ def open_run(
     resume: bool = False,
     hunger: HungerFunction | None = None,
     make_env: MakeEnv | None = None,
+    new_episode: bool = False,
     quiet: bool = False,
 ) -> Iterator[Run]:
     """Begin a run, or continue the one in its folder; close it however it ends.
@@ -372,6 +382,7 @@ def open_run(
         resume: Continue.
         hunger: The caller's own function of observation and info.
         make_env: The caller's own function that makes an environment.
+        new_episode: Begin a continued run with the next episode.
         quiet: Do not say how the run computes.
 
     Raises:
@@ -388,6 +399,8 @@ def open_run(
             "`torch.set_default_dtype` must be left at torch.float32 where a run trains, got "
             f"{torch.get_default_dtype()}."
         )
+    if new_episode and not resume:
+        raise ValueError("`new_episode` must be left out where no run is continued, got True.")
     config = with_make_env(config, make_env)
     if make_env is not None:
         make_env = made_anew(make_env)
@@ -431,7 +444,7 @@ def open_run(
         if begins:
             run.save()  # so that a run that fails at once can still be continued
         else:
-            run.restore(state)
+            run.restore(state, new_episode=new_episode)
         if resume:  # only now: what cannot be continued keeps its settings
             write_json(config.run.out / CONFIG, config.to_json())
         yield run

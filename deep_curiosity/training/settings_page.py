@@ -8,6 +8,7 @@ from deep_curiosity.bonuses.config import BONUS_CONFIGS
 from deep_curiosity.configuration import Group, as_plain, flat
 from deep_curiosity.training.command_line import (
     BONUS_HELP,
+    NEW_EPISODE_HELP,
     PRESET_HELP,
     RESUME_HELP,
     SETTINGS_HELP,
@@ -38,7 +39,8 @@ def settings_page() -> str:
     command_line = [_row("resume", None, RESUME_HELP), _row("bonus", "curiosity", BONUS_HELP)]
     command_line += [_row("preset", "fast", PRESET_HELP)]
     command_line += [_row("settings", None, SETTINGS_HELP)]
-    command_line += [_row("stop_when_solved", None, STOP_HELP), "\n"]
+    command_line += [_row("stop_when_solved", None, STOP_HELP)]
+    command_line += [_row("new_episode", False, NEW_EPISODE_HELP), "\n"]
     for name, values in [each for each in PRESETS.items() if each[1]]:
         flags = " ".join(f"--{_flag(key)} {value}" for key, value in values.items())
         command_line.append(f"- `--preset {name}` is `{flags}`\n")

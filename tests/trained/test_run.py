@@ -1,3 +1,4 @@
+import itertools
 import json
 
 import gymnasium
@@ -6,6 +7,8 @@ import pytest
 from gymnasium import spaces
 
 import deep_curiosity as dc
+from deep_curiosity.training import Config, train
+from deep_curiosity.training.checkpoint import load_checkpoint
 from deep_curiosity.training.log import read_config, read_progress
 from tests.trained.conftest import TASK
 
@@ -134,3 +137,41 @@ def test_a_preset_is_taken_as_on_the_command_line(tmp_path):
 def test_a_setting_that_is_none_is_named(tmp_path):
     with pytest.raises(TypeError, match="`bonus_wait` is no setting here"):
         dc.train(TASK, out=tmp_path / "run", bonus_wait=1)
+
+
+class Unrepeatable(Arm):
+    """Starts elsewhere at every call, whatever the seed."""
+
+    starts = itertools.count(1)
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        self.speed = np.full(2, next(self.starts), np.float32)
+        return self.seen(), {}
+
+
+def test_a_task_that_cannot_repeat_its_episode_goes_on_with_the_next(tmp_path):
+    settings = TINY | {"max_episode_steps": 15, "evaluation_interval": 20}
+    run = dc.train(
+        make_env=Unrepeatable,
+        out=tmp_path / "run",
+        on_evaluation=lambda step, values: step == 20,
+        **settings,
+    )
+    before = read_config(run.folder)
+    again = {"make_env": Unrepeatable, "total_steps": 60, "show_progress": False}
+    with pytest.raises(RuntimeError, match="with `new_episode` a run goes on in the next one"):
+        dc.continue_run(run.folder, **again)
+    assert read_config(run.folder) == before
+    run = dc.continue_run(run.folder, new_episode=True, **again)
+    assert run.summary["total_steps"] == 60
+    rows = load_checkpoint(run.folder)["learner"]["replay"]["rows"]
+    assert len(rows) == 60
+    ends = rows[:, -1].nonzero().flatten().tolist()
+    assert ends == [14, 19, 34, 49]  # the second one was cut off where the run stopped
+
+
+def test_a_run_that_begins_has_no_episode_to_leave(tmp_path):
+    config = Config.of(env_id=TASK, out=tmp_path / "run", total_steps=2_000)
+    with pytest.raises(ValueError, match="`new_episode` must be left out where no run is contin"):
+        train(config, new_episode=True)

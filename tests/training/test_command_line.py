@@ -12,7 +12,7 @@ from deep_curiosity.training.command_line import COMMON, help_of, parse, read_se
 from deep_curiosity.training.config import PRESETS, Config
 from deep_curiosity.training.log import open_folder
 
-OF_THE_COMMAND_LINE = {"resume", "bonus", "preset", "settings", "stop-when-solved"}
+OF_THE_COMMAND_LINE = {"resume", "bonus", "preset", "settings", "stop-when-solved", "new-episode"}
 
 
 def read(*arguments):
