@@ -136,10 +136,8 @@ class DynamicsEnsemble(nn.Module):
         moments = self.feature_moments or self.observation_moments
         state = self._featured(observation).unsqueeze(-2)
         width = torch.exp(0.5 * change.log_var)
-        low, high = (
-            moments.normalize(state + self.change_moments.denormalize(end))
-            for end in (change.loc - width, change.loc + width)
-        )
+        ends = torch.stack([change.loc - width, change.loc + width])
+        low, high = moments.normalize(state + self.change_moments.denormalize(ends))
         log_var = torch.log((0.5 * (high - low)).square() + self.noise_floor**2)
         return DiagonalMixture(0.5 * (low + high), log_var, change.log_weight)
 

@@ -1,5 +1,7 @@
 """The small learner that a bonus needs beside an agent."""
 
+import warnings
+
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -9,6 +11,7 @@ from deep_curiosity.nn.networks import Adam
 from deep_curiosity.nn.statistics import Every
 from deep_curiosity.transitions import Transition, check_counts, check_transition_kind, is_number
 
+MOST_ACTION = 1.001  # beyond which no rounding leads
 MOST_LEARNING_RATE = 1.0  # Adam's first step is as long, and weights are about a tenth of it
 
 
@@ -39,6 +42,7 @@ class BonusLearner(nn.Module):
                 f"`learning_rate` must be at most {MOST_LEARNING_RATE}, got {learning_rate}."
             )
         self.bonus = bonus
+        self._has_warned = False  # of actions in another unit
         check_counts(update_interval=update_interval)
         self.every = Every(update_interval)
         parameters = self._trained_parameters()
@@ -48,14 +52,31 @@ class BonusLearner(nn.Module):
     def learn(self, transition: Transition, policy: Policy | None = None) -> None:
         """Show the bonus a batch, and at every `update_interval`-th call take a gradient step.
 
+        A warning says so, once, where actions are beyond [-1, 1].
+
         Args:
             transition: A batch from replay, or the newest rollout.
             policy: Samples fresh actions at the batch's observations.
         """
+        observes = not self.bonus.should_skip
         self.bonus.observe(transition, policy)
+        if observes and not self._has_warned:
+            self._look_at_unit(transition.action)
         if not self.every.should_skip:
             self.step(transition)
         self.every.count()
+
+    def _look_at_unit(self, action: Tensor) -> None:
+        """Warn of actions that are not brought to [-1, 1]: models of one unit see no difference."""
+        farthest = action.abs().max().item()
+        if farthest <= MOST_ACTION:
+            return
+        self._has_warned = True
+        warnings.warn(
+            f"`action` should lie in [-1, 1], got {farthest:g}: bring actions there, by the "
+            "adapter's range of actions or gymnasium.wrappers.RescaleAction.",
+            stacklevel=3,
+        )
 
     def step(self, transition: Transition) -> Float[Tensor, ""]:
         """Take a gradient step on the networks of the bonus; return the loss before it."""

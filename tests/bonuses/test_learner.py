@@ -85,3 +85,17 @@ def test_a_learner_goes_on_from_parameters_that_were_assigned_to_it():
     assert first.optimizer.count == second.optimizer.count == 2
     for name, value in second.state_dict().items():
         assert value.equal(first.state_dict()[name])
+
+
+def test_actions_in_another_unit_are_told_of_once():
+    learner = BonusLearner(make_bonus("curiosity", 2, 1, hidden_dims=(8,), refresh_interval=1))
+    flag = torch.zeros(16, dtype=torch.bool)
+
+    def batch(action):
+        state = torch.randn(16, 2)
+        return Transition(state, torch.full((16, 1), action), torch.zeros(16), state, flag, flag)
+
+    learner.learn(batch(1.0))
+    with pytest.warns(UserWarning, match=r"`action` should lie in \[-1, 1\], got 100: bring"):
+        learner.learn(batch(-100.0))
+    learner.learn(batch(-100.0))
