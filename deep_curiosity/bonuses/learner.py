@@ -67,7 +67,7 @@ class BonusLearner(nn.Module):
         self.every.count()
 
     def _look_at_unit(self, action: Tensor) -> None:
-        """Warn of actions that are not brought to [-1, 1]: models of one unit see no difference."""
+        """Warn of actions beyond [-1, 1], among which the models tell little apart."""
         farthest = action.abs().max().item()
         if farthest <= MOST_ACTION:
             return
