@@ -7,7 +7,10 @@ import numpy as np
 import pytest
 
 from deep_curiosity.benchmark.tables import grouped, read_rows
-from deep_curiosity.experiments.statistics import interquartile_mean
+from deep_curiosity.experiments.statistics import (
+    interquartile_mean,
+    probability_of_improvement,
+)
 from deep_curiosity.experiments.studies.results import STUDIES
 from deep_curiosity.experiments.tables import markdown_table
 from tests.docs.pages import ROOT, text_of
@@ -51,23 +54,57 @@ def test_the_table_of_the_page_is_that_of_the_rows(page):
     assert solved_table(TABLES["results"]) in page
 
 
+def better_than():
+    """The chance that the default ends with more than each other agent, on held-out tasks."""
+    values = {
+        agent: [
+            [row["evaluation_return"] for row in TABLES["results"] if _is_of(row, task, agent)]
+            for task in HELD_OUT
+            if any(_is_of(row, task, agent) for row in TABLES["results"])
+        ]
+        for agent in dict.fromkeys(row["agent"] for row in TABLES["results"])
+    }
+    first = values.pop("curiosity")
+    estimates = {
+        agent: probability_of_improvement(first, other) for agent, other in values.items()
+    }
+    return {
+        agent: f"{found.value:.2f} [{found.low:.2f}, {found.high:.2f}]"
+        for agent, found in estimates.items()
+    }
+
+
+def _is_of(row, task, agent):
+    return (row["task"], row["agent"]) == (task, agent)
+
+
 def test_what_is_said_of_the_held_out_tasks_is_what_was_measured():
     text = text_of("docs/results/README.md")
     (solved, runs), plain, (nearest, _), (gain, _) = solved_of_held_out("results").values()
     assert f"the default solves {solved:.0f} runs of {runs}, and plain" in text
     assert plain == (0, runs)
-    (uniform, _), _ = solved_of_held_out("uniform_prior").values()
-    assert f"had the uniform prior, solved {uniform:.0f} of the same ten" in text
-    said = f"Nearest-neighbours solves {nearest:.0f} of the ten, information gain {gain:.0f}"
+    (uniform, ten), _ = solved_of_held_out("uniform_prior").values()
+    own = [
+        row
+        for row in TABLES["results"]
+        if row["task"] in HELD_OUT and row["agent"] == "curiosity" and row["seed"] < 2
+    ]
+    assert ten == len(own) == 10
+    said = f"solved {uniform:.0f} of ten on the first two seeds of these, where this one solved "
+    assert f"{said}{sum(row['solved'] for row in own):.0f} " in text
+    said = f"Nearest-neighbours solves {nearest:.0f} of the {runs}, information gain {gain:.0f}:"
     assert said in text
+    better = better_than()
+    said = "is {nearest-neighbours} against nearest-neighbours and {information gain} against inf"
+    assert said.format_map(better) in text
 
 
 def test_the_first_page_says_the_same():
     text = text_of("README.md")
-    (solved, runs), (plain, _), *_ = solved_of_held_out("results").values()
-    assert (
-        f"it solves {solved:.0f} runs of {runs}, and plain soft actor-critic {plain:.0f}." in text
-    )
+    (solved, runs), (plain, _), *others = solved_of_held_out("results").values()
+    said = f"it solves {solved:.0f} runs of {runs}, and plain soft actor-critic {plain:.0f}; two "
+    nearest, gain = (f"{number:.0f}" for number, _ in others)
+    assert f"{said}other bonuses in the same agent solve {nearest} and {gain}." in text
 
 
 @pytest.mark.parametrize("name", TABLES)
