@@ -135,7 +135,7 @@ class FreshActions:
 
     def at(self, sampled: TensorDictBase) -> Policy:
         """The policy at the observations of a batch, of which it may read other entries too."""
-        return partial(self.__call__, beside=sampled.select(*self.policy.in_keys, strict=False))
+        return partial(self, beside=sampled.select(*self.policy.in_keys, strict=False))
 
     @torch.no_grad()
     def __call__(
