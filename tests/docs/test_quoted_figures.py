@@ -150,10 +150,11 @@ def test_what_is_said_of_dense_tasks_is_what_was_measured():
     assert {row["seed"] for row in rows} == {100, 101, 102}
 
 
-def test_what_is_said_of_the_learned_prior_on_dense_tasks_is_what_was_measured():
+@pytest.mark.parametrize("table", ["harm-learned", "harm-default"])
+def test_what_is_said_of_the_learned_prior_on_dense_tasks_is_what_was_measured(table):
     learned, uniform = (
         interquartile_means(f"docs/development/{name}.csv", "evaluation_return")
-        for name in ("harm-learned", "harm")
+        for name in (table, "harm")
     )
     cheetah, hopper = (
         [
@@ -171,7 +172,20 @@ def test_what_is_said_of_the_learned_prior_on_dense_tasks_is_what_was_measured()
         "at {}, and at {} on Hopper-v5, where they end at {} and {}."
     )
     assert said.format(*cheetah, *hopper) in text_of("docs/development/README.md")
-    assert {row["seed"] for row in rows_of("docs/development/harm-learned.csv")} == {100, 101, 102}
+    assert {row["seed"] for row in rows_of(f"docs/development/{table}.csv")} == {100, 101, 102}
+
+
+def test_what_is_said_of_areas_on_dense_tasks_is_what_was_measured():
+    default, plain = (
+        interquartile_means(f"docs/development/{name}.csv", "area")
+        for name in ("harm-default", "harm")
+    )
+    areas = [default[task, "curiosity"] for task in ("HalfCheetah-v5", "Hopper-v5")]
+    areas += [plain[task, "plain SAC"] for task in ("HalfCheetah-v5", "Hopper-v5")]
+    said = (
+        "over every evaluation, is {:.0f} and {:.0f}; the plain agent's, over every second one, "
+    )
+    assert (said + "{:.0f} and {:.0f}.").format(*areas) in text_of("docs/development/README.md")
 
 
 def test_what_is_said_of_both_priors_is_what_was_measured():

@@ -15,6 +15,7 @@ TABLES = {  # whose names are not those of their studies
     "noise-curiosity": "noise",
     "noise-uniform": "noise",
     "harm-learned": "harm",
+    "harm-default": "harm",
     "uniform_prior": "results",
     "one-nat": "development",
     "shared-prior": "development",
