@@ -329,14 +329,16 @@ class ReplayBuffer:
             ValueError: If the buffer is empty or `num_rows` is below 1.
         """
         self._check_sample(num_rows=num_rows)
-        age = self._arange(min(num_rows, len(self))).flip(0)
-        return self._at((self._num_added - 1 - age) % self.capacity)
+        return self._newest(num_rows)
 
     def take_new(self) -> Transition:
         """The transitions stored since the last call, oldest first: each is taken once."""
-        number = min(self._num_added - self._num_taken, len(self))
+        number = self._num_added - self._num_taken
         self._num_taken = self._num_added
-        age = self._arange(number).flip(0)
+        return self._newest(number)
+
+    def _newest(self, num_rows: int) -> Transition:
+        age = self._arange(min(num_rows, len(self))).flip(0)
         return self._at((self._num_added - 1 - age) % self.capacity)
 
     def cut_off(self) -> None:

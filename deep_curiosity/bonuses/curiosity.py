@@ -433,8 +433,7 @@ class CuriosityBonus(Bonus):
         """Let the weight follow what fresh actions earn at states that are no components yet."""
         earned = self._weigh(self._ask(late.observation, late.action)).mean()
         if tuned_weight.goal is None:
-            moments = self.standardization.moments
-            earned = (earned - moments.mean[0]) / moments.scale[0]
+            earned = self.standardization.in_deviations(earned)
         tuned_weight.follow(earned, self.every.interval)
 
     def _floor_share(self, prediction: DiagonalMixture) -> Tensor:

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from deep_curiosity.experiments.figures import draw_curve, estimate_curve, label_beside
 from deep_curiosity.experiments.study import Row
-from deep_curiosity.training.config import IGNORED, config_key
+from deep_curiosity.training.config import IGNORED, run_key
 from deep_curiosity.training.log import CONFIG, PROGRESS, SUMMARY, parse_progress, read_values
 
 TAGS = (
@@ -107,7 +107,7 @@ def _each_once(found: dict[Path, FoundRun]) -> dict[Path, FoundRun]:
     """The runs without copies, which would count as seeds of their own."""
     kept: dict[str, Path] = {}
     for folder in sorted(found, key=lambda folder: -found[folder][1][-1]["step"]):
-        key = json.dumps(config_key(found[folder][0]), sort_keys=True)
+        key = run_key(found[folder][0])
         if key in kept:
             warnings.warn(
                 f"{folder} is passed over: it is the same run as {kept[key]}.", stacklevel=3

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from deep_curiosity import __version__
 from deep_curiosity.training.callbacks import Callback
-from deep_curiosity.training.config import Config, config_key
+from deep_curiosity.training.config import Config, config_key, run_key
 from deep_curiosity.training.log import (
     CONFIG,
     SUMMARY,
@@ -152,17 +152,17 @@ def find_finished(runs: Path) -> dict[str, Path]:
     found = {}
     for path in sorted(runs.rglob(CONFIG), reverse=True):
         try:
-            key = config_key(read_values(path.parent))
+            key = run_key(read_values(path.parent))
         except (OSError, ValueError) as error:
             warnings.warn(f"{path.parent} is passed over: {error}", stacklevel=2)
             continue
-        found[json.dumps(key, sort_keys=True)] = path.parent
+        found[key] = path.parent
     return found
 
 
 def finished_key(config: Config) -> str:
     """Key of a run in `find_finished`."""
-    return json.dumps(config_key(config.to_json()), sort_keys=True)
+    return run_key(config.to_json())
 
 
 def measure_run(config: Config, summary: "Row") -> list["Row"]:

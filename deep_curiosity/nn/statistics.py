@@ -111,10 +111,15 @@ class RunningMoments(nn.Module):
         """What `normalize` makes this value of, where it cuts nothing."""
         return self.center + self.scale * value
 
+    @property
+    def rests(self) -> Bool[Tensor, " dim"]:
+        """Features that have not moved yet, and so have no unit but the least."""
+        return self.var <= VARIANCE_FLOOR
+
     def _merge(self, value: Tensor) -> None:
         if self.reach < math.inf:
             # what has never moved has no size yet by which to call a row absurd
-            is_new = (self.count < 2) | (self.var <= VARIANCE_FLOOR)
+            is_new = (self.count < 2) | self.rests
             bound = torch.where(is_new, torch.inf, self.reach * self.scale)
             value = value.clamp(self.center - bound, self.center + bound)
         batch_mean = value.mean(0)
@@ -274,6 +279,10 @@ class Standardization(nn.Module):
         if self.scale:
             value = value / self.moments.scale
         return torch.where(self.moments.count > 0, self.weight * value, 0.0)
+
+    def in_deviations(self, value: Float[Tensor, ""]) -> Float[Tensor, ""]:
+        """A mean of values in standard deviations from the usual, neither weighed nor cut."""
+        return (value - self.moments.mean[0]) / self.moments.scale[0]
 
     def update(self, value: Float[Tensor, " batch"]) -> None:
         """Update the statistics from a batch."""

@@ -67,8 +67,6 @@ RESUME_HELP = (
 )
 SETTINGS_HELP = "JSON file of settings by their flat names, as tune writes it; flags go before it."
 STOP_HELP = "Mean return of an evaluation from which the run stops, as solved; it can be resumed."
-
-
 NEW_EPISODE_HELP = (
     "With --resume: go on with the next episode, where a task does not repeat the one in progress."
 )

@@ -426,6 +426,11 @@ def config_key(values: Mapping[str, Any]) -> dict[str, str]:
     }
 
 
+def run_key(values: Mapping[str, Any]) -> str:
+    """The same as one text, by which runs are looked up."""
+    return json.dumps(config_key(values), sort_keys=True)
+
+
 def merge_config(wanted: Config, own: Config) -> Config:
     """Settings with which a run goes on: its own, but for those that it may change.
 

@@ -5,7 +5,6 @@ from jaxtyping import Float, Int
 from torch import Tensor
 
 from deep_curiosity.bonuses.baselines.base import BaselineBonus
-from deep_curiosity.nn.statistics import VARIANCE_FLOOR
 from deep_curiosity.transitions import Transition, check_counts
 
 TABLE_SIZES = (131_011, 131_023, 131_041)  # primes: codes that share a slot in one part in others
@@ -96,7 +95,7 @@ class HashCountBonus(BaselineBonus):
         """Count the batch's next states; the first batch fixes the code."""
         moments = self.observation_moments
         # an entry that rests has no unit yet; in the least one there is, it would drown the others
-        scale = torch.where(moments.var > VARIANCE_FLOOR, moments.scale, 1.0)
+        scale = torch.where(moments.rests, 1.0, moments.scale)
         self.code_loc.copy_(torch.where(self.is_fixed, self.code_loc, moments.mean))
         self.code_scale.copy_(torch.where(self.is_fixed, self.code_scale, scale))
         self.is_fixed.fill_(True)

@@ -103,8 +103,7 @@ class InformationGainBonus(BaselineBonus):
         if fresh_action is None:
             return
         gain = self.score(transition.observation, fresh_action, None).mean()
-        moments = self.standardization.moments
-        self.tuned_weight.follow((gain - moments.mean[0]) / moments.scale[0], self.every.interval)
+        self.tuned_weight.follow(self.standardization.in_deviations(gain), self.every.interval)
 
     def metrics(self) -> dict[str, Tensor]:
         """Statistics of the gain, in nats a dimension, and the weight as it now stands."""
