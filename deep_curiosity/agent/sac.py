@@ -35,6 +35,7 @@ from deep_curiosity.losses import (
     temperature_loss,
 )
 from deep_curiosity.nn.networks import Adam
+from deep_curiosity.nn.statistics import WHITENINGS, RunningMoments
 from deep_curiosity.schedules import Schedule
 from deep_curiosity.transitions import (
     LARGEST,
@@ -113,6 +114,8 @@ class CuriousSAC(nn.Module):
     value_stds: Tensor
     curiosity_mean: Tensor
     optimizers: Mapping[str, Adam]
+    observation_moments: RunningMoments | None
+    """What observations are normalised by, of all batches so far; `None` where they are not."""
 
     def __init__(
         self,
@@ -171,6 +174,10 @@ class CuriousSAC(nn.Module):
         """Make policies, critics, the slow copy of these, and the action prior."""
         config, input_dim = self.config, self.observation_dim + int(self.is_conditioned)
         hidden_dims = (config.hidden_dim, config.hidden_dim)
+        normalizes = config.normalize_observations
+        self.observation_moments = (
+            WHITENINGS["moments"](self.observation_dim) if normalizes else None
+        )
         self.policy = GaussianPolicy(
             input_dim,
             self.action_dim,
@@ -271,7 +278,7 @@ class CuriousSAC(nn.Module):
         observation: Float[Tensor, "*values batch observation_dim"],
         hunger: GivenHunger | None = None,
     ) -> Float[Tensor, "*values batch policy_input_dim"]:
-        """Input of policy and critics: the observation, and behind it the hunger if conditioned.
+        """Input of policy and critics: the observation, normalised, and the hunger if conditioned.
 
         Args:
             observation: As the environment gave it.
@@ -284,6 +291,8 @@ class CuriousSAC(nn.Module):
             ValueError: If there is neither one hunger nor one for each, or one outside [0, 1].
                 Values are not looked at inside a compiled graph.
         """
+        if self.observation_moments is not None:
+            observation = self.observation_moments.normalize(observation)
         if not self.is_conditioned:
             return observation
         hunger = self._hunger if hunger is None else _as_hunger(hunger, self._hunger)
@@ -354,10 +363,13 @@ class CuriousSAC(nn.Module):
         self._check_update(sequences, bonus)
         steps, batch_size = sequences.steps, sequences.alive.shape[1]
         hunger = sample_hunger(steps.reward[:batch_size]) if self.is_conditioned else self._hunger
-        policy_input = self.policy_input(steps.observation[:batch_size], hunger)
+        observation = steps.observation[:batch_size]
+        if self.observation_moments is not None:
+            self.observation_moments.update(observation)
+        policy_input = self.policy_input(observation, hunger)
         target = self._targets(sequences, bonus, hunger)
         metrics = self._update_critics(policy_input, steps.action[:batch_size], target)
-        sample, actor_metrics = self._update_actor(policy_input, bonus, hunger)
+        sample, actor_metrics = self._update_actor(observation, policy_input, bonus, hunger)
         metrics |= actor_metrics | self._update_prior(sample) | self._update_temperature(sample)
         with torch.no_grad():  # Polyak averaging, all parameters in one call
             torch._foreach_lerp_(
@@ -538,11 +550,13 @@ class CuriousSAC(nn.Module):
 
     def _update_actor(
         self,
+        observation: Float[Tensor, "batch observation_dim"],
         policy_input: Float[Tensor, "batch policy_input_dim"],
         bonus: Tensor | BonusFunction | None,
         hunger: Hunger,
     ) -> tuple[PolicySample, dict[str, Tensor]]:
         """Step the policies on a part of the batch; return their sample and what to log."""
+        observation = observation[:: self.actor_stride]
         policy_input = policy_input[:: self.actor_stride]
         hunger = hunger[:: self.actor_stride] if hunger.ndim else hunger
         policy = self.policy(policy_input)
@@ -557,7 +571,8 @@ class CuriousSAC(nn.Module):
         if self.has_greedy_policy:  # whose prior is uniform
             log_prior = torch.cat([log_abs_det_tanh(pre_action[:, :1]), log_prior], dim=1)
         information_cost = log_prob - log_prior
-        value, curiosity_value = self._values(policy_input, torch.tanh(pre_action), bonus, hunger)
+        action = torch.tanh(pre_action)
+        value, curiosity_value = self._values(observation, policy_input, action, bonus, hunger)
         if self.has_greedy_policy:  # hungry for reward alone
             hunger = torch.stack([torch.ones_like(hunger), hunger]).unsqueeze(-1)
         loss = actor_loss(
@@ -578,6 +593,7 @@ class CuriousSAC(nn.Module):
 
     def _values(
         self,
+        observation: Float[Tensor, "batch observation_dim"],
         policy_input: Float[Tensor, "batch policy_input_dim"],
         action: Float[Tensor, "components policies batch action_dim"],
         bonus: Tensor | BonusFunction | None,
@@ -600,7 +616,7 @@ class CuriousSAC(nn.Module):
             curiosity_value = self.critics.of_others(policy_input, curious)[0]
         else:
             assert not isinstance(bonus, Tensor)
-            curiosity_value = bonus(policy_input[:, : self.observation_dim], curious)
+            curiosity_value = bonus(observation.repeat(shape[0], 1), curious)
             num_rows = len(curious)
             self._check_bonus(curiosity_value, num_rows, num_rows, "policy's actions")
             std = curiosity_value.detach().std(correction=0)

@@ -215,7 +215,9 @@ class Adam(nn.Module):
         device = self.targets[0].device
         for name in ("count", "step_size", "epsilon"):
             self.register_buffer(name, torch.zeros((), dtype=torch.float32, device=device))
-        self._correct_next()
+        root = math.sqrt(1 - SQUARE_DECAY)  # bias corrections of the first step
+        self.step_size.fill_(learning_rate * root / (1 - MEAN_DECAY))
+        self.epsilon.fill_(EPSILON * root)
 
     def step(self, loss: Tensor) -> None:
         """Take one step down the gradient of a loss.
@@ -257,7 +259,13 @@ class Adam(nn.Module):
                     maximize=False,
                 )
             self.count.copy_(self.count + 1)
-            self._correct_next()
+            # bias corrections of the step to come, ahead of it: a graph then reads two numbers,
+            # where inside the step they would be worked out again for every parameter
+            count = self.count + 1
+            root = (-torch.expm1(count * math.log(SQUARE_DECAY))).sqrt()
+            mean_share = -torch.expm1(count * math.log(MEAN_DECAY))
+            self.step_size.copy_(self.learning_rate * root / mean_share)
+            self.epsilon.copy_(EPSILON * root)
 
     def replace_targets(self, parameters: Iterable[nn.Parameter]) -> None:
         """Step others from now on, which have taken the place of those before one by one.
@@ -286,18 +294,6 @@ class Adam(nn.Module):
         steps = torch._foreach_div(means, roots)
         torch._foreach_mul_(steps, self._read(self.step_size))
         torch._foreach_sub_(self.targets, steps)
-
-    def _correct_next(self) -> None:
-        """Bias corrections of the step to come, ahead of it: a graph then reads two numbers.
-
-        Worked out inside the step, they would be worked out again for every parameter.
-        """
-        count = self.count + 1
-        mean_share = -torch.expm1(count * math.log(MEAN_DECAY))
-        square_share = -torch.expm1(count * math.log(SQUARE_DECAY))
-        root = square_share.sqrt()
-        self.step_size.copy_(self.learning_rate * root / mean_share)
-        self.epsilon.copy_(EPSILON * root)
 
     def _read(self, number: Tensor) -> Any:
         """A number for every parameter: read at once on a CPU, never waited for on a GPU."""

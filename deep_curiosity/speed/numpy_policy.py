@@ -8,6 +8,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from deep_curiosity.agent.networks import GaussianPolicy, in_log_std_range
+from deep_curiosity.nn.statistics import WHITENED_BOUND, RunningMoments
 
 
 class NumpyPolicy:
@@ -15,13 +16,16 @@ class NumpyPolicy:
 
     Args:
         policy: On the CPU, of one mixture component.
+        moments: By which observations are normalised; left out where they are not.
         number: Which of the policies, where several are stacked; by default the last.
 
     Raises:
         ValueError: If the policy has several components.
     """
 
-    def __init__(self, policy: GaussianPolicy, number: int = -1) -> None:
+    def __init__(
+        self, policy: GaussianPolicy, number: int = -1, *, moments: RunningMoments | None = None
+    ) -> None:
         if policy.mixture_components != 1:
             raise ValueError(
                 f"`policy` must have one mixture component, got {policy.mixture_components}."
@@ -30,15 +34,17 @@ class NumpyPolicy:
             (weight.detach()[number].numpy(), bias.detach()[number, 0].numpy())
             for weight, bias in (layer.parameters() for layer in policy.network.layers)
         ]
+        units = None if moments is None else (moments.center.numpy(), moments.scale.numpy())
+        self._units: tuple[np.ndarray, np.ndarray] | None = units
         self._outputs = [np.empty_like(bias) for _, bias in self._layers]
 
     def act(
         self, observation: Float32[np.ndarray, " observation_dim"], noise: np.ndarray
     ) -> Float32[np.ndarray, " action_dim"]:
         """Action in [-1, 1] for standard normal `noise`, one number for each action dimension."""
-        value = observation
+        value = entered = self._normalize(observation)
         for (weight, bias), output in zip(self._layers, self._outputs, strict=True):
-            if value is not observation:
+            if value is not entered:
                 np.maximum(value, 0, out=value)
             value = np.dot(value, weight, out=output)
             value += bias
@@ -46,3 +52,14 @@ class NumpyPolicy:
         log_std = in_log_std_range(np.tanh(value[action_dim:]))
         action: np.ndarray = np.tanh(value[:action_dim] + np.exp(log_std) * noise)
         return action
+
+    def _normalize(
+        self, observation: Float32[np.ndarray, " observation_dim"]
+    ) -> Float32[np.ndarray, " observation_dim"]:
+        """The observation as the networks see it; a hunger behind it is left as it is."""
+        if self._units is None:
+            return observation
+        center, scale = self._units
+        normalized = (observation[: len(center)] - center) / scale
+        normalized = normalized.clip(-WHITENED_BOUND, WHITENED_BOUND)
+        return np.concatenate([normalized, observation[len(center) :]])

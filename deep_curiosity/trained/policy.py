@@ -11,6 +11,7 @@ from torch import Tensor
 
 from deep_curiosity.agent.config import ConditionedHunger
 from deep_curiosity.agent.networks import GaussianPolicy
+from deep_curiosity.nn.statistics import WHITENINGS, RunningMoments
 from deep_curiosity.trained.source import Trained, Weights, read_trained
 from deep_curiosity.training.hunger import battery_hunger
 from deep_curiosity.training.spaces import SPACES, TaskSpaces
@@ -37,6 +38,7 @@ class TrainedPolicy:
     def __init__(self, trained: Trained, action_bounds: ActionBounds | None = None) -> None:
         self.config = trained.config
         self.network = make_policy(trained)
+        self.moments = make_moments(trained)
         self.num_frames = trained.config.environment.frame_stack
         self.spaces = task_spaces(trained, self.network, action_bounds)
 
@@ -122,17 +124,20 @@ class TrainedPolicy:
     def _policy_input(
         self, window: NDArray[np.float32], hunger: Numbers | None
     ) -> NDArray[np.float32]:
-        """The windows, and behind them the hunger where the run is conditioned on it."""
+        """The windows, normalised, and behind them the hunger where the run is conditioned."""
+        seen = window
+        if self.moments is not None:
+            seen = self.moments.normalize(torch.from_numpy(window)).numpy()
         if not self.is_conditioned:
             if hunger is not None:
                 raise ValueError(
                     "`hunger` must be left out for a run that is not conditioned on it "
                     f"(--hunger random, bandit, battery or conditioned:VALUE), got {hunger}."
                 )
-            return window
+            return seen
         chosen = self._default_hunger(window) if hunger is None else _hunger(hunger, len(window))
         column = np.broadcast_to(chosen, len(window))[:, None]
-        return np.concatenate([window, column], axis=-1, dtype=np.float32)
+        return np.concatenate([seen, column], axis=-1, dtype=np.float32)
 
     def _default_hunger(self, window: NDArray[np.float32]) -> NDArray[Any]:
         """As in the run's own evaluations: all for reward, or as a battery says."""
@@ -181,6 +186,15 @@ def make_policy(trained: Trained) -> GaussianPolicy:
     policy.load_state_dict(trained.policy)
     policy.float()  # whatever the default is here
     return policy.eval().requires_grad_(False)
+
+
+def make_moments(trained: Trained) -> RunningMoments | None:
+    """What the policy's observations are normalised by; `None` where they are not."""
+    if not trained.moments:
+        return None
+    moments = WHITENINGS["moments"](len(trained.moments["mean"]))
+    moments.load_state_dict(trained.moments)
+    return moments.float().eval()
 
 
 def hidden_weights(policy: Weights) -> list[Tensor]:

@@ -14,6 +14,7 @@ from deep_curiosity.training.spaces import TaskSpaces, read_spaces
 
 BONUS_WEIGHTS = "bonus.safetensors"
 POLICY_PREFIX = "policy."
+MOMENTS_PREFIX = "observation_moments."
 
 Weights = dict[str, Tensor]
 
@@ -26,6 +27,8 @@ class Trained(NamedTuple):
     spaces: TaskSpaces | None
     """Of the task; `None` for a run that did not write them down."""
     policy: Weights
+    moments: Weights
+    """Statistics by which the policy sees observations; nothing where it sees them as they are."""
     bonus: Weights
     """Models and statistics of the bonus; nothing where there is no bonus."""
 
@@ -44,8 +47,8 @@ def read_trained(folder: str | Path) -> Trained:
     # where and how it was trained matters no more: the GPU may not be here
     values = read_values(folder) | {"device": "cpu", "out": str(folder)}
     config = Config.from_json(_with_younger(values), source=str(folder / CONFIG))
-    policy, bonus = _read_export(folder) if (folder / WEIGHTS).exists() else _read_run(folder)
-    return Trained(folder, config, read_spaces(folder), policy, bonus)
+    weights = _read_export(folder) if (folder / WEIGHTS).exists() else _read_run(folder)
+    return Trained(folder, config, read_spaces(folder), *weights)
 
 
 def _with_younger(values: dict[str, Any]) -> dict[str, Any]:
@@ -54,19 +57,27 @@ def _with_younger(values: dict[str, Any]) -> dict[str, Any]:
     return Config.of(bonus=kind).to_json() | values if kind in BONUS_CONFIGS else values
 
 
-def _read_run(folder: Path) -> tuple[Weights, Weights]:
+def _read_run(folder: Path) -> tuple[Weights, Weights, Weights]:
     learner = load_checkpoint(folder)["learner"]
-    policy = {
-        name.removeprefix(POLICY_PREFIX): value
-        for name, value in learner["agent"].items()
-        if name.startswith(POLICY_PREFIX)
-    }
-    return policy, learner["bonus"]
+    agent = learner["agent"]
+    return _under(POLICY_PREFIX, agent), _under(MOMENTS_PREFIX, agent), learner["bonus"]
 
 
-def _read_export(folder: Path) -> tuple[Weights, Weights]:
+def _read_export(folder: Path) -> tuple[Weights, Weights, Weights]:
     require("safetensors", extra="export")
     from safetensors.torch import load_file
 
     bonus = folder / BONUS_WEIGHTS
-    return load_file(folder / WEIGHTS), load_file(bonus) if bonus.exists() else {}
+    weights = load_file(folder / WEIGHTS)
+    moments = _under(MOMENTS_PREFIX, weights)
+    policy = {name: weights[name] for name in weights if not name.startswith(MOMENTS_PREFIX)}
+    return policy, moments, load_file(bonus) if bonus.exists() else {}
+
+
+def _under(prefix: str, weights: Weights) -> Weights:
+    """Those whose name begins so, by the rest of it."""
+    return {
+        name.removeprefix(prefix): value
+        for name, value in weights.items()
+        if name.startswith(prefix)
+    }

@@ -456,7 +456,11 @@ def merge_config(wanted: Config, own: Config) -> Config:
 
 
 IGNORED = ("out", "matmul_precision")  # the last is chosen anew by the clock
-YOUNGER: dict[str, Any] = {"hindsight": None, "action_repeat": 1}
+YOUNGER: dict[str, Any] = {
+    "hindsight": None,
+    "action_repeat": 1,
+    "normalize_observations": False,
+}
 """Settings that came after the first runs, with the value by which these were as they are."""
 LEARNING_STAYS = (
     "log_interval",

@@ -304,7 +304,8 @@ class Learner:
         )
         if not applies:
             return None
-        return NumpyPolicy(self.agent.policy), NumpyPolicy(self.agent.policy, 0)
+        policy, moments = self.agent.policy, self.agent.observation_moments
+        return NumpyPolicy(policy, moments=moments), NumpyPolicy(policy, 0, moments=moments)
 
     def _random_state(self) -> dict[str, Tensor]:
         """State of the global generators that the run samples from."""

@@ -10,7 +10,15 @@ from deep_curiosity.training.config import IGNORED, Config
 from deep_curiosity.training.learner import Learner
 from deep_curiosity.training.log import read_values
 
-LEARNED = ("policy.", "critics.", "target_critics.", "prior.", "value_stds", "curiosity_mean")
+LEARNED = (
+    "policy.",
+    "critics.",
+    "target_critics.",
+    "prior.",
+    "observation_moments.",
+    "value_stds",
+    "curiosity_mean",
+)
 """What of an agent is learned; the rest are settings, optimisers, and what settings start."""
 
 

@@ -68,6 +68,7 @@ PLAIN = {
     "actor_batch_fraction": 1.0,
     "learning_rate": 3e-4,
     "polyak": 0.005,
+    "normalize_observations": False,
 }
 """Soft actor-critic's own settings: formulas are tested without what the trainer adds."""
 
@@ -225,10 +226,65 @@ def test_with_half_of_the_batch_every_row_keeps_its_own_hunger():
     agent, batch = conditioned_agent(actor_batch_fraction=0.5), random_transition(5)
     hunger, inputs = torch.linspace(0, 1, 5), []
     agent.policy.register_forward_pre_hook(lambda _, args: inputs.extend(args))
-    agent._update_actor(agent.policy_input(batch.observation, hunger), PushingBonus(1.0), hunger)
+    policy_input = agent.policy_input(batch.observation, hunger)
+    agent._update_actor(batch.observation, policy_input, PushingBonus(1.0), hunger)
     (policy_input,) = inputs
     assert policy_input[:, :3].equal(batch.observation[::2])
     assert policy_input[:, 3].equal(hunger[::2])
+
+
+@pytest.mark.parametrize(
+    "options", [{}, {"hunger": "random", "curiosity_coefficient": "adaptive"}]
+)
+def test_the_unit_of_an_observation_makes_no_difference(options):
+    options = {"normalize_observations": True, "prior": "learned"} | options
+    scale, shift = torch.tensor([1e-3, 1.0, 400.0]), torch.tensor([0.5, -2.0, 9e3])
+    agent = small_agent(**options).double()
+    other = deepcopy(agent)
+    for _ in range(3):
+        batch = double(random_transition())
+        changed = batch._replace(
+            observation=scale * batch.observation + shift,
+            next_observation=scale * batch.next_observation + shift,
+        )
+        seed = torch.random.initial_seed()
+        torch.manual_seed(seed)
+        metrics = agent.update(batch, ConstantBonus(1.0).double())
+        torch.manual_seed(seed)
+        of_changed = other.update(changed, ConstantBonus(1.0).double())
+        torch.testing.assert_close(metrics, of_changed, rtol=1e-2, atol=1e-4)
+    action = agent.act(batch.observation, deterministic=True, hunger=0.5)
+    of_changed = other.act(changed.observation, deterministic=True, hunger=0.5)
+    torch.testing.assert_close(action, of_changed, rtol=0, atol=1e-3)
+    assert not torch.allclose(action, other.act(batch.observation, deterministic=True, hunger=0.5))
+
+
+def test_what_is_seen_is_measured_over_all_batches_and_cut_at_ten_deviations():
+    agent = plain_agent(normalize_observations=True)
+    batches = [random_transition() for _ in range(3)]
+    for batch in batches:
+        agent.update(batch)
+    seen = torch.cat([batch.observation for batch in batches])
+    torch.testing.assert_close(agent.observation_moments.mean, seen.mean(0))
+    torch.testing.assert_close(agent.observation_moments.var, seen.var(0, correction=0))
+    assert agent.policy_input(torch.tensor([[99.0, -99.0, 0.0]]))[0, :2].tolist() == [10.0, -10.0]
+    raw = torch.tensor([[99.0, -99.0, 0.0]])
+    assert plain_agent().policy_input(raw) is raw
+
+
+def test_a_bonus_that_is_maximised_itself_is_given_observations_as_they_are():
+    given = []
+
+    def bonus(observation, action, next_observation=None):
+        given.append(observation)
+        return action.sum(-1)
+
+    batch = random_transition()
+    agent = small_agent(
+        normalize_observations=True, curiosity_discount=0.0, policy_mixture_components=2
+    )
+    agent.update(batch, bonus)
+    assert given[-1].equal(batch.observation.repeat(2, 1))
 
 
 def test_log_density_agrees_with_stable_baselines3():
@@ -444,7 +500,7 @@ def test_the_coefficient_weighs_the_curiosity_value_in_the_actor():
     agent.value_stds.copy_(torch.tensor([4.0, 1.0]))
     action = batch.action[None, None]  # of the only component of the only policy
     ((value,),), ((curiosity_value,),) = agent._values(
-        batch.observation, action, PushingBonus(1.0), torch.ones(())
+        batch.observation, batch.observation, action, PushingBonus(1.0), torch.ones(())
     )
     lower = agent.critics.lower(batch.observation, batch.action)
     torch.testing.assert_close((value, curiosity_value), (lower[0], 0.25 * lower[1]))
@@ -988,8 +1044,9 @@ def test_curiosity_that_is_switched_off_does_not_move_the_actor():
     agent.curiosity_coefficient = 0.0
     assert agent.curiosity_coefficient == 0
     action = torch.rand(1, 1, 8, 2)
+    observation = torch.randn(8, 3)
     _, curiosity_value = agent._values(
-        torch.randn(8, 3), action, PushingBonus(1.0), torch.ones(())
+        observation, observation, action, PushingBonus(1.0), torch.ones(())
     )
     assert curiosity_value.abs().max() == 0
     with pytest.raises(

@@ -45,6 +45,20 @@ def test_actions_are_those_of_the_agent_in_units_of_the_task(run_of, curious):
     assert not np.allclose(action, other)
 
 
+def test_a_run_that_saw_observations_as_they_are_is_loaded_so(run_of, tmp_path):
+    folder = shutil.copytree(run_of(normalize_observations=False), tmp_path / "older")
+    values = json.loads((folder / "config.json").read_text())
+    del values["normalize_observations"]  # younger than such a run
+    (folder / "config.json").write_text(json.dumps(values))
+    policy = dc.load(folder)
+    assert not policy.config.agent.normalize_observations and policy.moments is None
+    expected = agent_of(folder).act(
+        torch.from_numpy(OBSERVATIONS), deterministic=True, greedy=True
+    )
+    action, _ = policy.predict(OBSERVATIONS)
+    np.testing.assert_allclose(action, in_units_of_the_task(expected), rtol=0, atol=1e-6)
+
+
 def test_samples_are_those_of_the_agent(run_of):
     policy, agent = dc.load(run_of()), agent_of(run_of())
     torch.manual_seed(3)

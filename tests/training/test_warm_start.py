@@ -30,7 +30,8 @@ def test_a_run_begins_with_what_another_has_learned(tiny, begun):
         agent = learner.agent.state_dict()
         learned = [name for name in agent if name.startswith(LEARNED)]
         assert {name.split(".")[0] for name in learned} == {
-            "policy", "critics", "target_critics", "prior", "value_stds", "curiosity_mean"
+            "policy", "critics", "target_critics", "prior", "observation_moments", "value_stds",
+            "curiosity_mean",
         }  # fmt: skip
         for name in learned:
             same(agent[name], saved["agent"][name])

@@ -43,6 +43,7 @@ AGENTS: Agents = {
     "nothing forgotten": {"marginal_half_life": None},
     "soft backup": {"soft_backup": True},
     "layer norm": {"critic_layer_norm": True},
+    "raw observations": {"normalize_observations": False},
     **UNIFORM,
 }
 
