@@ -277,7 +277,9 @@ def test_what_is_absurd_or_would_do_nothing_is_refused(
     (run_folder.parent / "broken.py").write_text("STUDIES = {")
     (run_folder.parent / "empty.py").touch()
     (run_folder.parent / "json.py").touch()
+    before = sys.path.copy()
     assert message in refusal(call, script, *arguments)
+    assert [path for path in sys.path if path] == [path for path in before if path]
 
 
 def test_every_default_may_be_given(call):

@@ -75,6 +75,15 @@ def load_own(path: Path, table: str, wanted: str) -> tuple[str, Any]:
         FileNotFoundError: If there is no such file.
         ValueError: If it cannot be read, or has no such entry.
     """
+    before = sys.path.copy()
+    try:
+        return _load_entry(path, table, wanted)
+    except BaseException:
+        sys.path[:] = before  # a file beside it may hide a module that a new process needs
+        raise
+
+
+def _load_entry(path: Path, table: str, wanted: str) -> tuple[str, Any]:
     name_of, kind = {"STUDIES": ("study", Study), "SEARCHES": ("search", Search)}[table]
     module = _load_module(path, name_of)
     entries = getattr(module, table, None)
