@@ -259,7 +259,7 @@ def test_the_unit_of_an_observation_makes_no_difference(options):
     assert not torch.allclose(action, other.act(batch.observation, deterministic=True, hunger=0.5))
 
 
-def test_what_is_seen_is_measured_over_all_batches_and_cut_at_ten_deviations():
+def test_what_is_seen_is_measured_over_the_batches_of_late_and_cut_at_ten_deviations():
     agent = plain_agent(normalize_observations=True)
     batches = [random_transition() for _ in range(3)]
     for batch in batches:
@@ -267,9 +267,15 @@ def test_what_is_seen_is_measured_over_all_batches_and_cut_at_ten_deviations():
     seen = torch.cat([batch.observation for batch in batches])
     torch.testing.assert_close(agent.observation_moments.mean, seen.mean(0))
     torch.testing.assert_close(agent.observation_moments.var, seen.var(0, correction=0))
-    assert agent.policy_input(torch.tensor([[99.0, -99.0, 0.0]]))[0, :2].tolist() == [10.0, -10.0]
-    raw = torch.tensor([[99.0, -99.0, 0.0]])
-    assert plain_agent().policy_input(raw) is raw
+    far = torch.tensor([[99.0, -99.0, 0.0]])
+    assert agent.policy_input(far)[0, :2].tolist() == [10.0, -10.0]
+    assert plain_agent().policy_input(far) is far
+    agent.observation_moments.count.fill_(1e9)  # of long ago, which has faded
+    for _ in range(8_000):
+        agent.observation_moments.update(5 + batches[0].observation)
+    torch.testing.assert_close(
+        agent.observation_moments.mean, 5 + batches[0].observation.mean(0), rtol=0.01, atol=0
+    )
 
 
 def test_a_bonus_that_is_maximised_itself_is_given_observations_as_they_are():
