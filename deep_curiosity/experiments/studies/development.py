@@ -33,8 +33,10 @@ TASKS = [
     replace(task, config=task.config.override(**HALF, total_steps=length))
     for task, length in LENGTHS
 ]
+DEFAULT: Agents = {"default": {}}
+RAW: Agents = {"raw observations": {"normalize_observations": False}}
 AGENTS: Agents = {
-    "default": {},
+    **DEFAULT,
     "no greedy policy": {"greedy_share": 0.0},
     "half of the steps greedy": {"greedy_share": 0.5},
     "one step ahead": {"reward_steps": 1, "curiosity_steps": 1},
@@ -43,9 +45,20 @@ AGENTS: Agents = {
     "nothing forgotten": {"marginal_half_life": None},
     "soft backup": {"soft_backup": True},
     "layer norm": {"critic_layer_norm": True},
-    "raw observations": {"normalize_observations": False},
+    **RAW,
     **UNIFORM,
 }
+OTHER_UNITS = [
+    *(task for task in TASKS if task.name == MOUNTAIN_CAR.name),
+    *(
+        Task(
+            f"dm_control {name}",
+            SMALL.override(env_id=f"dm_control/{name}-v0", total_steps=20_000, **HALF),
+            solved_return=500.0,
+        )
+        for name in ("finger-spin", "point_mass-easy", "cartpole-balance_sparse")
+    ),
+]
 
 FIXED = SMALL.override(total_steps=1_600, evaluation_interval=400, replay_capacity=4_000)
 FIXED_TASKS = [
@@ -80,6 +93,14 @@ STUDIES = {
         TASKS,
         AGENTS,
         seeds=8,
+        first_seed=100,
+        columns=("area", "evaluation_return"),
+        measure=measure_area,
+    ),
+    "units": Study(
+        OTHER_UNITS,
+        DEFAULT | RAW,
+        seeds=4,
         first_seed=100,
         columns=("area", "evaluation_return"),
         measure=measure_area,
