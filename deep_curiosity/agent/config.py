@@ -159,9 +159,9 @@ class AgentConfig(Group):
     polyak: float = setting(0.02, above=0, at_least=1e-6, at_most=1)
     """Share of the critics that moves into the target critics at each update."""
     normalize_observations: bool = True
-    """Show policy and critics each entry of an observation as so many standard deviations from its
-    mean over what was learned from of late, at most ten: a speed of 0.07 is then seen as well as
-    one of 20. Models and bonus have units of their own."""
+    """Show policy and critics each entry of an observation with its mean of late at zero, and with
+    a standard deviation between 1 and 10: what moves less is widened, such as a speed of 0.07.
+    Models and bonus have units of their own."""
     critic_layer_norm: bool = False
     """Normalise every hidden layer of the critics, which bounds what they extrapolate."""
     mixture_components: int = setting(1, name="policy_mixture_components", at_most=100)

@@ -23,6 +23,8 @@ SCALE_STEPS = 12  # of the fixed-point iteration for that scale, from above
 MORE_SCALE_STEPS, FALLING = 24, 0.9  # where it still falls, as with an absurd row among few
 WHITENED_BOUND = 10.0  # a feature that starts to move late would drown all others
 STATISTICS_MEMORY = 1_280.0  # rows; a bonus drifts as its model learns, so old ones fade
+INPUT_MEMORY = 51_200.0  # rows after which old ones fade; replay widens as it fills
+INPUT_WIDTHS = 1.0, 10.0  # standard deviations that a network is shown
 BONUS_BOUND = 5.0  # standard deviations at which a bonus is cut, so that no tail rules
 HASH_OFFSET = 0x9E3779B9  # so that zeros count; the golden ratio's digits
 HASH_FACTOR = 0x5851F42D4C957F2D  # odd, of Knuth's generator MMIX
@@ -134,6 +136,30 @@ class RunningMoments(nn.Module):
         """Work out centre and scale once, for all uses up to the next update."""
         self.center.copy_(self.mean)
         self.scale.copy_(torch.where(self.count < 2, 1.0, (self.var + VARIANCE_FLOOR).sqrt()))
+
+
+class InputMoments(RunningMoments):
+    """Features as a network sees them best: of a standard deviation between 1 and 10.
+
+    What moves less is widened, what moves more is narrowed, and what lies between keeps its unit:
+    where most of what is fast is of no interest, such as a wheel that spins for long, one standard
+    deviation would be too coarse a unit for slow motions.
+
+    Args:
+        dim: Number of features.
+    """
+
+    def __init__(self, dim: int) -> None:
+        super().__init__(dim, memory=INPUT_MEMORY, reach=WHITENED_BOUND)
+
+    @property
+    def width(self) -> Float[Tensor, " dim"]:
+        """Standard deviation of each feature as it is seen."""
+        return self.scale.clamp(*INPUT_WIDTHS)
+
+    def normalize(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch dim"]:
+        """Centre, bring to its width, and cut at 10 standard deviations."""
+        return self.width * super().normalize(value)
 
 
 class RobustMoments(RunningMoments):

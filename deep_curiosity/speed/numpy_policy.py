@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from deep_curiosity.agent.networks import GaussianPolicy, in_log_std_range
-from deep_curiosity.nn.statistics import WHITENED_BOUND, RunningMoments
+from deep_curiosity.nn.statistics import INPUT_WIDTHS, WHITENED_BOUND, InputMoments
 
 
 class NumpyPolicy:
@@ -24,7 +24,7 @@ class NumpyPolicy:
     """
 
     def __init__(
-        self, policy: GaussianPolicy, number: int = -1, *, moments: RunningMoments | None = None
+        self, policy: GaussianPolicy, number: int = -1, *, moments: InputMoments | None = None
     ) -> None:
         if policy.mixture_components != 1:
             raise ValueError(
@@ -61,5 +61,5 @@ class NumpyPolicy:
             return observation
         center, scale = self._units
         normalized = (observation[: len(center)] - center) / scale
-        normalized = normalized.clip(-WHITENED_BOUND, WHITENED_BOUND)
+        normalized = normalized.clip(-WHITENED_BOUND, WHITENED_BOUND) * scale.clip(*INPUT_WIDTHS)
         return np.concatenate([normalized, observation[len(center) :]])

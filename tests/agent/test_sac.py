@@ -236,13 +236,16 @@ def test_with_half_of_the_batch_every_row_keeps_its_own_hunger():
 @pytest.mark.parametrize(
     "options", [{}, {"hunger": "random", "curiosity_coefficient": "adaptive"}]
 )
-def test_the_unit_of_an_observation_makes_no_difference(options):
+def test_the_unit_of_what_moves_by_less_than_one_makes_no_difference(options):
     options = {"normalize_observations": True, "prior": "learned"} | options
-    scale, shift = torch.tensor([1e-3, 1.0, 400.0]), torch.tensor([0.5, -2.0, 9e3])
+    scale, shift = torch.tensor([1e-3, 0.5, 2.0]), torch.tensor([0.5, -2.0, 9.0])
     agent = small_agent(**options).double()
     other = deepcopy(agent)
     for _ in range(3):
         batch = double(random_transition())
+        batch = batch._replace(
+            observation=0.3 * batch.observation, next_observation=0.3 * batch.next_observation
+        )
         changed = batch._replace(
             observation=scale * batch.observation + shift,
             next_observation=scale * batch.next_observation + shift,
@@ -268,7 +271,11 @@ def test_what_is_seen_is_measured_over_the_batches_of_late_and_cut_at_ten_deviat
     torch.testing.assert_close(agent.observation_moments.mean, seen.mean(0))
     torch.testing.assert_close(agent.observation_moments.var, seen.var(0, correction=0))
     far = torch.tensor([[99.0, -99.0, 0.0]])
-    assert agent.policy_input(far)[0, :2].tolist() == [10.0, -10.0]
+    width = seen.std(0, correction=0).clamp(min=1)
+    expected = 10 * width * torch.tensor([1, -1, 0]) - width * torch.tensor([0, 0, 1]) * (
+        seen.mean(0) / seen.std(0, correction=0)
+    )
+    torch.testing.assert_close(agent.policy_input(far)[0], expected)
     assert plain_agent().policy_input(far) is far
     agent.observation_moments.count.fill_(1e9)  # of long ago, which has faded
     for _ in range(8_000):

@@ -8,6 +8,7 @@ from deep_curiosity.nn.statistics import (
     NUM_DRAWN,
     WHITENINGS,
     Every,
+    InputMoments,
     RobustMoments,
     RunningMoments,
     SaturatingMoments,
@@ -361,3 +362,21 @@ def test_what_is_denormalized_is_as_before_it_was_normalized(whitening):
     moments.update(3 * torch.randn(500, 3) + 5)
     value = 3 * torch.randn(50, 3) + 5
     torch.testing.assert_close(moments.denormalize(moments.normalize(value)), value)
+
+
+def test_a_network_sees_features_of_a_width_between_one_and_ten():
+    moments, std = InputMoments(3), torch.tensor([0.07, 4.0, 300.0])
+    value = torch.randn(4_096, 3) * std + torch.tensor([5.0, -3.0, 1e3])
+    moments.update(value)
+    seen = moments.normalize(value)
+    torch.testing.assert_close(seen.mean(0), torch.zeros(3), rtol=0, atol=1e-3)
+    expected = value.std(0, correction=0).clamp(1.0, 10.0)
+    torch.testing.assert_close(seen.std(0, correction=0), expected, rtol=1e-3, atol=0)
+    assert moments.normalize(value + 1e6).equal((10 * moments.width).expand(4_096, 3))
+
+
+def test_what_a_network_sees_follows_a_replay_that_widens():
+    moments = InputMoments(1)
+    for std in [1.0] * 400 + [5.0] * 400:
+        moments.update(std * torch.randn(256, 1))
+    assert moments.scale.item() == pytest.approx(5, rel=0.1)
