@@ -238,7 +238,7 @@ def test_with_half_of_the_batch_every_row_keeps_its_own_hunger():
 )
 def test_the_unit_of_what_moves_by_less_than_one_makes_no_difference(options):
     options = {"normalize_observations": True, "prior": "learned"} | options
-    scale, shift = torch.tensor([1e-3, 0.5, 2.0]), torch.tensor([0.5, -2.0, 9.0])
+    scale, shift = torch.tensor([0.03, 0.5, 2.0]), torch.tensor([0.5, -2.0, 9.0])
     agent = small_agent(**options).double()
     other = deepcopy(agent)
     for _ in range(3):
