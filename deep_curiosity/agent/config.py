@@ -160,7 +160,7 @@ class AgentConfig(Group):
     """Share of the critics that moves into the target critics at each update."""
     normalize_observations: bool = True
     """Show policy and critics each entry of an observation with its mean of late at zero, and with
-    a standard deviation between 1 and 10: what moves less is widened, such as a speed of 0.07.
+    a standard deviation between 0.3 and 10: what moves less is widened, such as a speed of 0.07.
     Models and bonus have units of their own."""
     critic_layer_norm: bool = False
     """Normalise every hidden layer of the critics, which bounds what they extrapolate."""

@@ -24,7 +24,7 @@ MORE_SCALE_STEPS, FALLING = 24, 0.9  # where it still falls, as with an absurd r
 WHITENED_BOUND = 10.0  # a feature that starts to move late would drown all others
 STATISTICS_MEMORY = 1_280.0  # rows; a bonus drifts as its model learns, so old ones fade
 INPUT_MEMORY = 51_200.0  # rows after which old ones fade; replay widens as it fills
-INPUT_WIDTHS = 1.0, 10.0  # standard deviations that a network is shown
+INPUT_WIDTHS = 0.3, 10.0  # standard deviations that a network is shown
 BONUS_BOUND = 5.0  # standard deviations at which a bonus is cut, so that no tail rules
 HASH_OFFSET = 0x9E3779B9  # so that zeros count; the golden ratio's digits
 HASH_FACTOR = 0x5851F42D4C957F2D  # odd, of Knuth's generator MMIX
@@ -139,7 +139,7 @@ class RunningMoments(nn.Module):
 
 
 class InputMoments(RunningMoments):
-    """Features as a network sees them best: of a standard deviation between 1 and 10.
+    """Features as a network sees them best: of a standard deviation between 0.3 and 10.
 
     What moves less is widened, what moves more is narrowed, and what lies between keeps its unit:
     where most of what is fast is of no interest, such as a wheel that spins for long, one standard
