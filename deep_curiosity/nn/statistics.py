@@ -152,14 +152,10 @@ class InputMoments(RunningMoments):
     def __init__(self, dim: int) -> None:
         super().__init__(dim, memory=INPUT_MEMORY, reach=WHITENED_BOUND)
 
-    @property
-    def width(self) -> Float[Tensor, " dim"]:
-        """Standard deviation of each feature as it is seen."""
-        return self.scale.clamp(*INPUT_WIDTHS)
-
     def normalize(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch dim"]:
         """Centre, bring to its width, and cut at 10 standard deviations."""
-        return self.width * super().normalize(value)
+        deviations = ((value - self.center) / self.scale).clamp(-WHITENED_BOUND, WHITENED_BOUND)
+        return self.scale.clamp(*INPUT_WIDTHS) * deviations
 
 
 class RobustMoments(RunningMoments):
