@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from deep_curiosity.agent.networks import GaussianPolicy, in_log_std_range
-from deep_curiosity.nn.statistics import INPUT_WIDTHS, WHITENED_BOUND, InputMoments
+from deep_curiosity.nn.statistics import INPUT_BOUND, InputMoments
 
 
 class NumpyPolicy:
@@ -34,7 +34,7 @@ class NumpyPolicy:
             (weight.detach()[number].numpy(), bias.detach()[number, 0].numpy())
             for weight, bias in (layer.parameters() for layer in policy.network.layers)
         ]
-        units = None if moments is None else (moments.center.numpy(), moments.scale.numpy())
+        units = None if moments is None else (moments.offset.numpy(), moments.unit.numpy())
         self._units: tuple[np.ndarray, np.ndarray] | None = units
         self._outputs = [np.empty_like(bias) for _, bias in self._layers]
 
@@ -59,7 +59,6 @@ class NumpyPolicy:
         """The observation as the networks see it; a hunger behind it is left as it is."""
         if self._units is None:
             return observation
-        center, scale = self._units
-        normalized = (observation[: len(center)] - center) / scale
-        normalized = normalized.clip(-WHITENED_BOUND, WHITENED_BOUND) * scale.clip(*INPUT_WIDTHS)
-        return np.concatenate([normalized, observation[len(center) :]])
+        offset, unit = self._units
+        normalized = ((observation[: len(offset)] - offset) / unit).clip(-INPUT_BOUND, INPUT_BOUND)
+        return np.concatenate([normalized, observation[len(offset) :]])
