@@ -158,10 +158,10 @@ class AgentConfig(Group):
     """Learning rate of policy, critics, prior and temperature."""
     polyak: float = setting(0.02, above=0, at_least=1e-6, at_most=1)
     """Share of the critics that moves into the target critics at each update."""
-    normalize_observations: bool = True
-    """Show policy and critics each entry of an observation in its own unit while its standard
-    deviation lies between 0.3 and 10, and else in one that is as large as that: a speed of 0.07 is
-    too small to be seen. Models and bonus have units of their own."""
+    normalize_observations: bool = False
+    """Show policy and critics each entry of an observation as so many standard deviations from its
+    mean over what was learned from of late, at most ten. It helps where what counts moves by far
+    less than one, such as a speed of 0.07. Models and bonus have units of their own either way."""
     critic_layer_norm: bool = False
     """Normalise every hidden layer of the critics, which bounds what they extrapolate."""
     mixture_components: int = setting(1, name="policy_mixture_components", at_most=100)

@@ -35,7 +35,7 @@ from deep_curiosity.losses import (
     temperature_loss,
 )
 from deep_curiosity.nn.networks import Adam
-from deep_curiosity.nn.statistics import InputMoments
+from deep_curiosity.nn.statistics import WHITENED_BOUND, RunningMoments
 from deep_curiosity.schedules import Schedule
 from deep_curiosity.transitions import (
     LARGEST,
@@ -48,6 +48,7 @@ from deep_curiosity.transitions import (
     is_number,
 )
 
+OBSERVATION_MEMORY = 51_200.0  # rows by which others are normalised; replay widens as it fills
 STD_DECAY = 0.99  # of the running standard deviations of the values, for each update
 LOG_TEMPERATURES = math.log(TEMPERATURES[0]), math.log(TEMPERATURES[1])
 MOST_NATS = 10.0  # of an action dimension; the narrowest policy has 4.3 in the middle of the box
@@ -114,7 +115,7 @@ class CuriousSAC(nn.Module):
     value_stds: Tensor
     curiosity_mean: Tensor
     optimizers: Mapping[str, Adam]
-    observation_moments: InputMoments | None
+    observation_moments: RunningMoments | None
     """What observations are normalised by, those of late batches; `None` where they are not."""
 
     def __init__(
@@ -175,7 +176,11 @@ class CuriousSAC(nn.Module):
         config, input_dim = self.config, self.observation_dim + int(self.is_conditioned)
         hidden_dims = (config.hidden_dim, config.hidden_dim)
         normalizes = config.normalize_observations
-        self.observation_moments = InputMoments(self.observation_dim) if normalizes else None
+        self.observation_moments = (
+            RunningMoments(self.observation_dim, memory=OBSERVATION_MEMORY, reach=WHITENED_BOUND)
+            if normalizes
+            else None
+        )
         self.policy = GaussianPolicy(
             input_dim,
             self.action_dim,
@@ -276,10 +281,10 @@ class CuriousSAC(nn.Module):
         observation: Float[Tensor, "*values batch observation_dim"],
         hunger: GivenHunger | None = None,
     ) -> Float[Tensor, "*values batch policy_input_dim"]:
-        """Input of policy and critics: the observation, normalised, and the hunger if conditioned.
+        """Input of policy and critics: the observation, and behind it the hunger if conditioned.
 
         Args:
-            observation: As the environment gave it.
+            observation: As the environment gave it; it is normalised here, where that is set.
             hunger: From 0, purely curious, to 1, purely greedy: one for all or one for each; the
                 agent's own by default. An agent that is not conditioned on its hunger has learned
                 to act at that of the updates, and leaves any other aside.

@@ -23,9 +23,6 @@ SCALE_STEPS = 12  # of the fixed-point iteration for that scale, from above
 MORE_SCALE_STEPS, FALLING = 24, 0.9  # where it still falls, as with an absurd row among few
 WHITENED_BOUND = 10.0  # a feature that starts to move late would drown all others
 STATISTICS_MEMORY = 1_280.0  # rows; a bonus drifts as its model learns, so old ones fade
-INPUT_MEMORY = 51_200.0  # rows after which old ones fade; replay widens as it fills
-INPUT_WIDTHS = 0.3, 10.0  # standard deviations that a network is shown as they are
-INPUT_BOUND = 100.0  # units at which what a network is shown is cut
 BONUS_BOUND = 5.0  # standard deviations at which a bonus is cut, so that no tail rules
 HASH_OFFSET = 0x9E3779B9  # so that zeros count; the golden ratio's digits
 HASH_FACTOR = 0x5851F42D4C957F2D  # odd, of Knuth's generator MMIX
@@ -137,41 +134,6 @@ class RunningMoments(nn.Module):
         """Work out centre and scale once, for all uses up to the next update."""
         self.center.copy_(self.mean)
         self.scale.copy_(torch.where(self.count < 2, 1.0, (self.var + VARIANCE_FLOOR).sqrt()))
-
-
-class InputMoments(RunningMoments):
-    """Features as a network sees them best: in their own unit, unless that is far off.
-
-    A feature keeps its unit while its standard deviation lies between 0.3 and 10 of it, and its
-    mean within 10 of zero; otherwise its unit becomes the standard deviation, and zero its mean.
-    Units that followed every batch would move what a policy has learned to tell apart: to balance
-    a pole is to see small differences.
-
-    Args:
-        dim: Number of features.
-    """
-
-    offset: Tensor
-    unit: Tensor
-
-    def __init__(self, dim: int) -> None:
-        super().__init__(dim, memory=INPUT_MEMORY, reach=WHITENED_BOUND)
-        self.register_buffer("offset", torch.zeros(dim))
-        self.register_buffer("unit", torch.ones(dim))
-
-    def normalize(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch dim"]:
-        """Centre, scale, and cut at 100 units."""
-        return ((value - self.offset) / self.unit).clamp(-INPUT_BOUND, INPUT_BOUND)
-
-    def _set_units(self) -> None:
-        """Renew the unit of each feature that has outgrown it; one that rests has no size yet."""
-        super()._set_units()
-        width, middle = self.scale / self.unit, (self.mean - self.offset) / self.unit
-        least, most = INPUT_WIDTHS
-        fits = (width >= least) & (width <= most) & (middle.abs() <= most)
-        keeps = fits | (self.var <= VARIANCE_FLOOR)
-        self.offset.copy_(torch.where(keeps, self.offset, self.mean))
-        self.unit.copy_(torch.where(keeps, self.unit, self.scale))
 
 
 class RobustMoments(RunningMoments):

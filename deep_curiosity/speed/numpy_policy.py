@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from deep_curiosity.agent.networks import GaussianPolicy, in_log_std_range
-from deep_curiosity.nn.statistics import INPUT_BOUND, InputMoments
+from deep_curiosity.nn.statistics import WHITENED_BOUND, RunningMoments
 
 
 class NumpyPolicy:
@@ -24,7 +24,7 @@ class NumpyPolicy:
     """
 
     def __init__(
-        self, policy: GaussianPolicy, number: int = -1, *, moments: InputMoments | None = None
+        self, policy: GaussianPolicy, number: int = -1, *, moments: RunningMoments | None = None
     ) -> None:
         if policy.mixture_components != 1:
             raise ValueError(
@@ -34,7 +34,7 @@ class NumpyPolicy:
             (weight.detach()[number].numpy(), bias.detach()[number, 0].numpy())
             for weight, bias in (layer.parameters() for layer in policy.network.layers)
         ]
-        units = None if moments is None else (moments.offset.numpy(), moments.unit.numpy())
+        units = None if moments is None else (moments.center.numpy(), moments.scale.numpy())
         self._units: tuple[np.ndarray, np.ndarray] | None = units
         self._outputs = [np.empty_like(bias) for _, bias in self._layers]
 
@@ -59,6 +59,7 @@ class NumpyPolicy:
         """The observation as the networks see it; a hunger behind it is left as it is."""
         if self._units is None:
             return observation
-        offset, unit = self._units
-        normalized = ((observation[: len(offset)] - offset) / unit).clip(-INPUT_BOUND, INPUT_BOUND)
-        return np.concatenate([normalized, observation[len(offset) :]])
+        center, scale = self._units
+        normalized = (observation[: len(center)] - center) / scale
+        normalized = normalized.clip(-WHITENED_BOUND, WHITENED_BOUND)
+        return np.concatenate([normalized, observation[len(center) :]])

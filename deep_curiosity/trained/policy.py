@@ -11,7 +11,7 @@ from torch import Tensor
 
 from deep_curiosity.agent.config import ConditionedHunger
 from deep_curiosity.agent.networks import GaussianPolicy
-from deep_curiosity.nn.statistics import InputMoments
+from deep_curiosity.nn.statistics import RunningMoments
 from deep_curiosity.trained.source import Trained, Weights, read_trained
 from deep_curiosity.training.hunger import battery_hunger
 from deep_curiosity.training.spaces import SPACES, TaskSpaces
@@ -188,11 +188,11 @@ def make_policy(trained: Trained) -> GaussianPolicy:
     return policy.eval().requires_grad_(False)
 
 
-def make_moments(trained: Trained) -> InputMoments | None:
+def make_moments(trained: Trained) -> RunningMoments | None:
     """What the policy's observations are normalised by; `None` where they are not."""
     if not trained.moments:
         return None
-    moments = InputMoments(len(trained.moments["mean"]))
+    moments = RunningMoments(len(trained.moments["mean"]))
     moments.load_state_dict(trained.moments)
     return moments.float().eval()
 

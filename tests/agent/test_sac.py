@@ -236,16 +236,13 @@ def test_with_half_of_the_batch_every_row_keeps_its_own_hunger():
 @pytest.mark.parametrize(
     "options", [{}, {"hunger": "random", "curiosity_coefficient": "adaptive"}]
 )
-def test_the_unit_of_what_moves_by_less_than_one_makes_no_difference(options):
+def test_the_unit_of_an_observation_makes_no_difference(options):
     options = {"normalize_observations": True, "prior": "learned"} | options
-    scale, shift = torch.tensor([0.1, 0.5, 2.0]), torch.tensor([0.5, -2.0, 9.0])
+    scale, shift = torch.tensor([1e-3, 1.0, 400.0]), torch.tensor([0.5, -2.0, 9e3])
     agent = small_agent(**options).double()
     other = deepcopy(agent)
     for _ in range(3):
         batch = double(random_transition())
-        batch = batch._replace(
-            observation=0.1 * batch.observation, next_observation=0.1 * batch.next_observation
-        )
         changed = batch._replace(
             observation=scale * batch.observation + shift,
             next_observation=scale * batch.next_observation + shift,
@@ -262,18 +259,23 @@ def test_the_unit_of_what_moves_by_less_than_one_makes_no_difference(options):
     assert not torch.allclose(action, other.act(batch.observation, deterministic=True, hunger=0.5))
 
 
-def test_units_are_measured_over_all_that_is_learned_from():
-    agent, batch = plain_agent(normalize_observations=True), random_transition()
-    small = batch._replace(observation=0.01 * batch.observation)
-    agent.update(small)
-    moments = agent.observation_moments
+def test_what_is_seen_is_measured_over_the_batches_of_late_and_cut_at_ten_deviations():
+    agent = plain_agent(normalize_observations=True)
+    batches = [random_transition() for _ in range(3)]
+    for batch in batches:
+        agent.update(batch)
+    seen = torch.cat([batch.observation for batch in batches])
+    torch.testing.assert_close(agent.observation_moments.mean, seen.mean(0))
+    torch.testing.assert_close(agent.observation_moments.var, seen.var(0, correction=0))
+    far = torch.tensor([[99.0, -99.0, 0.0]])
+    assert agent.policy_input(far)[0, :2].tolist() == [10.0, -10.0]
+    assert plain_agent().policy_input(far) is far
+    agent.observation_moments.count.fill_(1e9)  # of long ago, which has faded
+    for _ in range(8_000):
+        agent.observation_moments.update(5 + batches[0].observation)
     torch.testing.assert_close(
-        moments.unit, small.observation.std(0, correction=0), rtol=0.01, atol=0
+        agent.observation_moments.mean, 5 + batches[0].observation.mean(0), rtol=0.01, atol=0
     )
-    assert agent.policy_input(small.observation).equal(moments.normalize(small.observation))
-    agent.update(small)
-    torch.testing.assert_close(moments.mean, small.observation.mean(0))
-    assert plain_agent().policy_input(small.observation) is small.observation
 
 
 def test_a_bonus_that_is_maximised_itself_is_given_observations_as_they_are():

@@ -403,3 +403,34 @@ def test_a_constant_bonus_earns_nothing():
     assert "where curiosity solves ten of ten" in text_of("docs/study/README.md")
     rows = rows_of("docs/study/control.csv")
     assert len(rows) == 2 and all(abs(row["evaluation_return"]) < 0.1 for row in rows)
+
+
+OTHER_UNITS = {
+    "MountainCarContinuous-v0": "the mountain car",
+    "dm_control point_mass-easy": "the point mass",
+    "dm_control finger-spin": "the finger",
+    "dm_control cartpole-balance_sparse": "the pole",
+}
+
+
+def test_what_is_said_of_units_is_what_was_measured():
+    page = text_of("docs/development/README.md")
+    own, deviations, from_1, from_third = (
+        interquartile_means(f"docs/development/units{name}.csv", "area")
+        for name in ("", "-deviations", "-from-1", "-from-third")
+    )
+    for task, called in OTHER_UNITS.items():
+        figures = [
+            own[task, "raw observations"],
+            own[task, "default"],
+            *(other[task, "default"] for other in (deviations, from_1, from_third)),
+        ]
+        cells = " | ".join(f"{figure:.0f}" for figure in figures)
+        assert f"| {called} | {cells} |" in page
+
+
+def test_the_rule_decides_on_units_as_the_page_says():
+    own = interquartile_means("docs/development/units.csv", "area")
+    better = sum(own[task, "default"] > own[task, "raw observations"] for task in OTHER_UNITS)
+    words = ("no task", "one task", "two tasks", "three tasks", "all four tasks")
+    assert f"better on {words[better]} of four" in text_of("docs/development/README.md")

@@ -8,7 +8,6 @@ from deep_curiosity.nn.statistics import (
     NUM_DRAWN,
     WHITENINGS,
     Every,
-    InputMoments,
     RobustMoments,
     RunningMoments,
     SaturatingMoments,
@@ -362,45 +361,3 @@ def test_what_is_denormalized_is_as_before_it_was_normalized(whitening):
     moments.update(3 * torch.randn(500, 3) + 5)
     value = 3 * torch.randn(50, 3) + 5
     torch.testing.assert_close(moments.denormalize(moments.normalize(value)), value)
-
-
-def test_a_unit_is_kept_while_it_fits_and_else_becomes_the_deviation():
-    std, mean = (
-        torch.tensor([0.07, 0.5, 9.0, 300.0, 1.0]),
-        torch.tensor([0.0, 5.0, -3.0, 1.0, 1e3]),
-    )
-    value = torch.randn(4_096, 5) * std + mean
-    moments = InputMoments(5)
-    moments.update(value)
-    seen = moments.normalize(value)
-    assert seen[:, 1:3].equal(value[:, 1:3])
-    renewed = seen[:, [0, 3, 4]]
-    torch.testing.assert_close(renewed.mean(0), torch.zeros(3), rtol=0, atol=1e-3)
-    torch.testing.assert_close(renewed.std(0, correction=0), torch.ones(3), rtol=1e-3, atol=0)
-    assert moments.normalize(value + 1e9).equal(torch.full_like(value, 100.0))
-
-
-def test_a_unit_is_renewed_only_where_it_no_longer_fits():
-    moments, units = InputMoments(1), []
-    for std in [0.01] * 400 + [0.05] * 400 + [0.5] * 600:
-        moments.update(std * torch.randn(256, 1))
-        units.append(moments.unit.item())
-    assert len(set(units)) == 2  # of the first batch, and when they were ten times as far
-    assert units[0] == pytest.approx(0.01, rel=0.2) and units[-1] == pytest.approx(0.1, rel=0.2)
-
-
-def test_what_rests_keeps_its_unit_until_it_moves():
-    moments = InputMoments(2)
-    value = torch.stack([torch.full((64,), 7.0), torch.randn(64)], dim=1)
-    moments.update(value)
-    assert moments.normalize(value).equal(value)
-
-
-def test_units_are_those_of_before_where_they_are_loaded():
-    moments = InputMoments(3)
-    for _ in range(9):
-        moments.update(torch.randn(64, 3) * torch.tensor([1e-3, 1.0, 99.0]) + 5)
-    other = InputMoments(3)
-    other.load_state_dict(moments.state_dict())
-    value = torch.randn(9, 3)
-    assert other.normalize(value).equal(moments.normalize(value))

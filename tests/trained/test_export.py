@@ -15,7 +15,8 @@ RNG = np.random.default_rng(0)
 OBSERVATIONS = RNG.normal(size=(5, 3)).astype(np.float32)
 HUNGER = np.array([0, 0.25, 0.5, 0.75, 1], np.float32)
 CONDITIONED = {"hunger": "conditioned:0.5", "policy_mixture_components": 2}
-RUNS = [{}, CONDITIONED, {"bonus": "none"}]
+NORMALIZED = {"normalize_observations": True}
+RUNS = [{}, CONDITIONED | NORMALIZED, NORMALIZED, {"bonus": "none"}]
 
 
 def run_torch(path, inputs):
@@ -34,7 +35,12 @@ RUNNERS = {".pt2": run_torch, ".onnx": run_onnx}
 
 @pytest.mark.parametrize(
     ("suffix", "settings"),
-    [(".onnx", {}), (".onnx", CONDITIONED), *((".pt2", settings) for settings in RUNS)],
+    [
+        (".onnx", {}),
+        (".onnx", CONDITIONED),
+        (".onnx", NORMALIZED),
+        *((".pt2", settings) for settings in RUNS),
+    ],
 )
 def test_a_file_gives_the_actions_of_the_policy(run_of, tmp_path, suffix, settings):
     folder = run_of(**settings)

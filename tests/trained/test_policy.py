@@ -45,8 +45,19 @@ def test_actions_are_those_of_the_agent_in_units_of_the_task(run_of, curious):
     assert not np.allclose(action, other)
 
 
+def test_a_policy_that_saw_observations_normalised_does_so(run_of):
+    folder = run_of(normalize_observations=True)
+    policy = dc.load(folder)
+    assert policy.moments is not None and policy.moments.count > 0
+    expected = agent_of(folder).act(
+        torch.from_numpy(OBSERVATIONS), deterministic=True, greedy=True
+    )
+    action, _ = policy.predict(OBSERVATIONS)
+    np.testing.assert_allclose(action, in_units_of_the_task(expected), rtol=0, atol=1e-6)
+
+
 def test_a_run_that_saw_observations_as_they_are_is_loaded_so(run_of, tmp_path):
-    folder = shutil.copytree(run_of(normalize_observations=False), tmp_path / "older")
+    folder = shutil.copytree(run_of(), tmp_path / "older")
     values = json.loads((folder / "config.json").read_text())
     del values["normalize_observations"]  # younger than such a run
     (folder / "config.json").write_text(json.dumps(values))

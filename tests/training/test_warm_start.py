@@ -30,8 +30,7 @@ def test_a_run_begins_with_what_another_has_learned(tiny, begun):
         agent = learner.agent.state_dict()
         learned = [name for name in agent if name.startswith(LEARNED)]
         assert {name.split(".")[0] for name in learned} == {
-            "policy", "critics", "target_critics", "prior", "observation_moments", "value_stds",
-            "curiosity_mean",
+            "policy", "critics", "target_critics", "prior", "value_stds", "curiosity_mean"
         }  # fmt: skip
         for name in learned:
             same(agent[name], saved["agent"][name])
@@ -41,6 +40,20 @@ def test_a_run_begins_with_what_another_has_learned(tiny, begun):
         assert all(optimizer.count == 0 for optimizer in learner.agent.optimizers.values())
         assert len(learner.replay) == 0
         assert run.run_log.step == 0
+
+
+def test_what_observations_were_normalised_by_is_begun_with(tiny, tmp_path):
+    normalizing = tiny.override(normalize_observations=True)
+    folder = tmp_path / "normalizing"
+    train(normalizing.override(out=folder), show_progress=False)
+    with open_run(normalizing.override(seed=5, init_from=folder)) as run:
+        moments = run.learner.agent.observation_moments
+        same(moments.mean, load_checkpoint(folder)["learner"]["agent"]["observation_moments.mean"])
+    with (
+        pytest.raises(ValueError, match="normalize_observations"),
+        open_run(tiny.override(out=tmp_path / "other", init_from=folder)),
+    ):
+        pass
 
 
 def test_without_it_a_run_begins_anew(tiny, begun):

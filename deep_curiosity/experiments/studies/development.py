@@ -34,7 +34,7 @@ TASKS = [
     for task, length in LENGTHS
 ]
 DEFAULT: Agents = {"default": {}}
-RAW: Agents = {"raw observations": {"normalize_observations": False}}
+NORMALIZED: Agents = {"normalised observations": {"normalize_observations": True}}
 AGENTS: Agents = {
     **DEFAULT,
     "no greedy policy": {"greedy_share": 0.0},
@@ -45,7 +45,7 @@ AGENTS: Agents = {
     "nothing forgotten": {"marginal_half_life": None},
     "soft backup": {"soft_backup": True},
     "layer norm": {"critic_layer_norm": True},
-    **RAW,
+    **NORMALIZED,
     **UNIFORM,
 }
 OTHER_UNITS = [
@@ -99,7 +99,7 @@ STUDIES = {
     ),
     "units": Study(
         OTHER_UNITS,
-        DEFAULT | RAW,
+        DEFAULT | NORMALIZED,
         seeds=4,
         first_seed=100,
         columns=("area", "evaluation_return"),
