@@ -24,9 +24,9 @@ TABLES = {  # whose names are not those of their studies
     "curiosity-steps-8": "development",
     "curiosity-discount-99": "development",
     "goals-shared-prior": "goals",
-    "units-deviations": "units",
     "units-from-1": "units",
     "units-from-third": "units",
+    "units-kept": "units",
     "units-mountain-car": "units",
 }
 
