@@ -439,3 +439,31 @@ def test_what_is_said_of_eight_seeds_of_the_mountain_car_is_what_was_measured():
     )
     said = f"the mountain car the area is {normalised:.0f} instead of {default:.0f}"
     assert said in text_of("docs/development/README.md")
+
+
+def solved_runs(path):
+    """Of each task of the default's table on development tasks: how many runs end solved."""
+    return {
+        task: sum(row["solved"] for row in own)
+        for (task, agent), own in grouped(rows_of(path), "task", "agent").items()
+        if agent == "default"
+    }
+
+
+def test_what_is_said_of_another_bonus_is_what_was_measured():
+    page = text_of("docs/development/README.md")
+    tasks = "CartpoleSwingup", "PendulumSwingup", "PointMaze"
+    gain = solved_runs("docs/development/information-gain.csv")
+    default = solved_runs("docs/development/development.csv")
+    said = (
+        "{:.0f} runs of 8 on CartpoleSwingup, {:.0f} on PendulumSwingup and {:.0f} in the maze, "
+    )
+    said += "where the default of the table above solves {:.0f}, {:.0f} and {:.0f} ("
+    assert said.format(*(each[task] for each in (gain, default) for task in tasks)) in page
+    today = solved_runs("docs/development/cartpole-swingup.csv")["CartpoleSwingup"]
+    areas = [
+        interquartile_means(f"docs/development/{name}.csv", "area")["CartpoleSwingup", "default"]
+        for name in ("cartpole-swingup", "development")
+    ]
+    said = "CartpoleSwingup in {:.0f} runs of 8, at an area of {:.0f} in the place of {:.0f} ("
+    assert said.format(today, *areas) in page
