@@ -175,10 +175,9 @@ class CuriousSAC(nn.Module):
         """Make policies, critics, the slow copy of these, and the action prior."""
         config, input_dim = self.config, self.observation_dim + int(self.is_conditioned)
         hidden_dims = (config.hidden_dim, config.hidden_dim)
-        normalizes = config.normalize_observations
         self.observation_moments = (
             RunningMoments(self.observation_dim, memory=OBSERVATION_MEMORY, reach=WHITENED_BOUND)
-            if normalizes
+            if config.normalize_observations
             else None
         )
         self.policy = GaussianPolicy(

@@ -68,7 +68,6 @@ PLAIN = {
     "actor_batch_fraction": 1.0,
     "learning_rate": 3e-4,
     "polyak": 0.005,
-    "normalize_observations": False,
 }
 """Soft actor-critic's own settings: formulas are tested without what the trainer adds."""
 

@@ -33,14 +33,19 @@ def in_units_of_the_task(action):
     )
 
 
-@pytest.mark.parametrize("curious", [False, True])
-def test_actions_are_those_of_the_agent_in_units_of_the_task(run_of, curious):
-    action, state = dc.load(run_of()).predict(OBSERVATIONS, curious=curious)
-    expected = agent_of(run_of()).act(
-        torch.from_numpy(OBSERVATIONS), deterministic=True, greedy=not curious
-    )
+def assert_acts_as_agent(policy, folder, *, curious=False):
+    """Compare what a loaded policy does with the centre of the agent's own."""
+    action, state = policy.predict(OBSERVATIONS, curious=curious)
+    observation = torch.from_numpy(OBSERVATIONS)
+    expected = agent_of(folder).act(observation, deterministic=True, greedy=not curious)
     np.testing.assert_allclose(action, in_units_of_the_task(expected), rtol=0, atol=1e-6)
     assert action.dtype == np.float32 and state is None
+    return action
+
+
+@pytest.mark.parametrize("curious", [False, True])
+def test_actions_are_those_of_the_agent_in_units_of_the_task(run_of, curious):
+    action = assert_acts_as_agent(dc.load(run_of()), run_of(), curious=curious)
     other, _ = dc.load(run_of()).predict(OBSERVATIONS, curious=not curious)
     assert not np.allclose(action, other)
 
@@ -49,11 +54,7 @@ def test_a_policy_that_saw_observations_normalised_does_so(run_of):
     folder = run_of(normalize_observations=True)
     policy = dc.load(folder)
     assert policy.moments is not None and policy.moments.count > 0
-    expected = agent_of(folder).act(
-        torch.from_numpy(OBSERVATIONS), deterministic=True, greedy=True
-    )
-    action, _ = policy.predict(OBSERVATIONS)
-    np.testing.assert_allclose(action, in_units_of_the_task(expected), rtol=0, atol=1e-6)
+    assert_acts_as_agent(policy, folder)
 
 
 def test_a_run_that_saw_observations_as_they_are_is_loaded_so(run_of, tmp_path):
@@ -63,11 +64,7 @@ def test_a_run_that_saw_observations_as_they_are_is_loaded_so(run_of, tmp_path):
     (folder / "config.json").write_text(json.dumps(values))
     policy = dc.load(folder)
     assert not policy.config.agent.normalize_observations and policy.moments is None
-    expected = agent_of(folder).act(
-        torch.from_numpy(OBSERVATIONS), deterministic=True, greedy=True
-    )
-    action, _ = policy.predict(OBSERVATIONS)
-    np.testing.assert_allclose(action, in_units_of_the_task(expected), rtol=0, atol=1e-6)
+    assert_acts_as_agent(policy, folder)
 
 
 def test_samples_are_those_of_the_agent(run_of):

@@ -52,18 +52,18 @@ BASELINES = ("disagreement", "information-gain", "rnd", "icm", "nearest-neighbou
 UNDIRECTED = {"gSDE": "gsde", "pink noise": "pink", "Ornstein-Uhlenbeck": "ou"}
 
 
-def _halved(task: Task) -> Task:
+def halved(task: Task, total_steps: int = 16_000) -> Task:
     """The same task with an update at every second step only: many agents are to be compared."""
     config = task.config.override(
-        update_to_data=0.5, total_steps=16_000, evaluation_interval=2_000
+        update_to_data=0.5, total_steps=total_steps, evaluation_interval=2_000
     )
     return replace(task, config=config)
 
 
 GOALS = [
     replace(PENDULUM, name="PendulumSwingup, full updates"),
-    replace(_halved(PENDULUM), name="PendulumSwingup, half the updates"),
-    replace(_halved(MAZE), name="PointMaze, half the updates"),
+    replace(halved(PENDULUM), name="PendulumSwingup, half the updates"),
+    replace(halved(MAZE), name="PointMaze, half the updates"),
     MAZE_THAT_ENDS,
     MOUNTAIN_CAR,
     CARTPOLE,
@@ -72,10 +72,10 @@ GOALS = [
 
 STUDIES = {
     "goals": Study(GOALS, CURIOSITY | UNIFORM, seeds=10, curves=True),
-    "sparse": Study([PENDULUM, _halved(MAZE)], CURIOSITY | PLAIN, seeds=10, curves=True),
+    "sparse": Study([PENDULUM, halved(MAZE)], CURIOSITY | PLAIN, seeds=10, curves=True),
     "control": Study([PENDULUM, MAZE], {"constant bonus": {"bonus": "constant"}}, curves=True),
     "subsampling": Study(
-        [_halved(PENDULUM), _halved(MAZE)],
+        [halved(PENDULUM), halved(MAZE)],
         {
             "curiosity": {},
             "curiosity, exact": PRESETS["exact"],
@@ -84,7 +84,7 @@ STUDIES = {
         seeds=10,
     ),
     "bonuses": Study(
-        [_halved(task) for task in (PENDULUM, MAZE, REACHER, MOUNTAIN_CAR)],
+        [halved(task) for task in (PENDULUM, MAZE, REACHER, MOUNTAIN_CAR)],
         CURIOSITY
         | {name: {"bonus": name} for name in BASELINES}
         | PLAIN

@@ -1,6 +1,5 @@
 """The tasks on which defaults are chosen, on seeds that are reported nowhere else."""
 
-from dataclasses import replace
 from typing import Any
 
 from deep_curiosity.experiments.fixed_data import run_on_fixed_data
@@ -16,22 +15,19 @@ from deep_curiosity.experiments.studies.comparisons import (
     PLAIN,
     SMALL,
     UNIFORM,
+    halved,
 )
 from deep_curiosity.experiments.study import Agents, Study, Task
 from deep_curiosity.training.config import Config
 
-HALF: dict[str, Any] = {"update_to_data": 0.5, "evaluation_interval": 2_000}
-LENGTHS = [
-    (PENDULUM, 16_000),
-    (MAZE, 16_000),
-    (MAZE_THAT_ENDS, 16_000),
-    (MOUNTAIN_CAR, 12_000),
-    (CARTPOLE, 20_000),
-    (CARTPOLE_SPARSE, 20_000),
-]
+CAR = halved(MOUNTAIN_CAR, 12_000)
 TASKS = [
-    replace(task, config=task.config.override(**HALF, total_steps=length))
-    for task, length in LENGTHS
+    halved(PENDULUM),
+    halved(MAZE),
+    halved(MAZE_THAT_ENDS),
+    CAR,
+    halved(CARTPOLE, 20_000),
+    halved(CARTPOLE_SPARSE, 20_000),
 ]
 DEFAULT: Agents = {"default": {}}
 NORMALIZED: Agents = {"normalised observations": {"normalize_observations": True}}
@@ -48,16 +44,16 @@ AGENTS: Agents = {
     **NORMALIZED,
     **UNIFORM,
 }
-OTHER_UNITS = [
-    *(task for task in TASKS if task.name == MOUNTAIN_CAR.name),
-    *(
+OTHER_UNITS = [CAR] + [
+    halved(
         Task(
             f"dm_control {name}",
-            SMALL.override(env_id=f"dm_control/{name}-v0", total_steps=20_000, **HALF),
+            SMALL.override(env_id=f"dm_control/{name}-v0"),
             solved_return=500.0,
-        )
-        for name in ("finger-spin", "point_mass-easy", "cartpole-balance_sparse")
-    ),
+        ),
+        20_000,
+    )
+    for name in ("finger-spin", "point_mass-easy", "cartpole-balance_sparse")
 ]
 
 FIXED = SMALL.override(total_steps=1_600, evaluation_interval=400, replay_capacity=4_000)
@@ -80,31 +76,16 @@ DENSE_TASKS = [
     Task(env_id, DENSE.override(env_id=env_id)) for env_id in ("HalfCheetah-v5", "Hopper-v5")
 ]
 
+SCORED: dict[str, Any] = {
+    "first_seed": 100,
+    "columns": ("area", "evaluation_return"),
+    "measure": measure_area,
+}
+"""How the protocol compares agents."""
 STUDIES = {
-    "harm": Study(
-        DENSE_TASKS,
-        CURIOSITY | PLAIN,
-        seeds=8,
-        first_seed=100,
-        columns=("area", "evaluation_return"),
-        measure=measure_area,
-    ),
-    "development": Study(
-        TASKS,
-        AGENTS,
-        seeds=8,
-        first_seed=100,
-        columns=("area", "evaluation_return"),
-        measure=measure_area,
-    ),
-    "units": Study(
-        OTHER_UNITS,
-        DEFAULT | NORMALIZED,
-        seeds=4,
-        first_seed=100,
-        columns=("area", "evaluation_return"),
-        measure=measure_area,
-    ),
+    "harm": Study(DENSE_TASKS, CURIOSITY | PLAIN, seeds=8, **SCORED),
+    "development": Study(TASKS, AGENTS, seeds=8, **SCORED),
+    "units": Study(OTHER_UNITS, DEFAULT | NORMALIZED, seeds=4, **SCORED),
     "standardization": Study(
         FIXED_TASKS,
         {
