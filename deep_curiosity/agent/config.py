@@ -159,9 +159,9 @@ class AgentConfig(Group):
     polyak: float = setting(0.02, above=0, at_least=1e-6, at_most=1)
     """Share of the critics that moves into the target critics at each update."""
     normalize_observations: bool = False
-    """Show policy and critics each entry of an observation as so many standard deviations from its
-    mean over what was learned from of late, at most ten. It helps where what counts moves by far
-    less than one, such as a speed of 0.07. Models and bonus have units of their own either way."""
+    """Show policy and critics each entry of an observation in a unit in which its root mean square
+    lies between 0.3 and 10, over what was learned from of late: a speed of 0.07 is widened, and
+    what lies between is seen as it is. Models and bonus have units of their own either way."""
     critic_layer_norm: bool = False
     """Normalise every hidden layer of the critics, which bounds what they extrapolate."""
     mixture_components: int = setting(1, name="policy_mixture_components", at_most=100)

@@ -35,7 +35,7 @@ from deep_curiosity.losses import (
     temperature_loss,
 )
 from deep_curiosity.nn.networks import Adam
-from deep_curiosity.nn.statistics import WHITENED_BOUND, RunningMoments
+from deep_curiosity.nn.statistics import InputScaling
 from deep_curiosity.schedules import Schedule
 from deep_curiosity.transitions import (
     LARGEST,
@@ -48,7 +48,6 @@ from deep_curiosity.transitions import (
     is_number,
 )
 
-OBSERVATION_MEMORY = 51_200.0  # rows by which others are normalised; replay widens as it fills
 STD_DECAY = 0.99  # of the running standard deviations of the values, for each update
 LOG_TEMPERATURES = math.log(TEMPERATURES[0]), math.log(TEMPERATURES[1])
 MOST_NATS = 10.0  # of an action dimension; the narrowest policy has 4.3 in the middle of the box
@@ -115,8 +114,8 @@ class CuriousSAC(nn.Module):
     value_stds: Tensor
     curiosity_mean: Tensor
     optimizers: Mapping[str, Adam]
-    observation_moments: RunningMoments | None
-    """What observations are normalised by, those of late batches; `None` where they are not."""
+    observation_scaling: InputScaling | None
+    """What brings observations to a size; `None` where they are seen as they are."""
 
     def __init__(
         self,
@@ -175,10 +174,8 @@ class CuriousSAC(nn.Module):
         """Make policies, critics, the slow copy of these, and the action prior."""
         config, input_dim = self.config, self.observation_dim + int(self.is_conditioned)
         hidden_dims = (config.hidden_dim, config.hidden_dim)
-        self.observation_moments = (
-            RunningMoments(self.observation_dim, memory=OBSERVATION_MEMORY, reach=WHITENED_BOUND)
-            if config.normalize_observations
-            else None
+        self.observation_scaling = (
+            InputScaling(self.observation_dim) if config.normalize_observations else None
         )
         self.policy = GaussianPolicy(
             input_dim,
@@ -293,8 +290,8 @@ class CuriousSAC(nn.Module):
             ValueError: If there is neither one hunger nor one for each, or one outside [0, 1].
                 Values are not looked at inside a compiled graph.
         """
-        if self.observation_moments is not None:
-            observation = self.observation_moments.normalize(observation)
+        if self.observation_scaling is not None:
+            observation = self.observation_scaling(observation)
         if not self.is_conditioned:
             return observation
         hunger = self._hunger if hunger is None else _as_hunger(hunger, self._hunger)
@@ -366,8 +363,8 @@ class CuriousSAC(nn.Module):
         steps, batch_size = sequences.steps, sequences.alive.shape[1]
         hunger = sample_hunger(steps.reward[:batch_size]) if self.is_conditioned else self._hunger
         observation = steps.observation[:batch_size]
-        if self.observation_moments is not None:
-            self.observation_moments.update(observation)
+        if self.observation_scaling is not None:
+            self.observation_scaling.update(observation)
         policy_input = self.policy_input(observation, hunger)
         target = self._targets(sequences, bonus, hunger)
         metrics = self._update_critics(policy_input, steps.action[:batch_size], target)

@@ -23,6 +23,9 @@ SCALE_STEPS = 12  # of the fixed-point iteration for that scale, from above
 MORE_SCALE_STEPS, FALLING = 24, 0.9  # where it still falls, as with an absurd row among few
 WHITENED_BOUND = 10.0  # a feature that starts to move late would drown all others
 STATISTICS_MEMORY = 1_280.0  # rows; a bonus drifts as its model learns, so old ones fade
+INPUT_MEMORY = 51_200.0  # rows after which old ones fade; replay widens as it fills
+INPUT_SIZES = 0.3, 10.0  # root mean squares that a network is shown as they are
+LARGEST = 1e15  # whose square a float32 still holds, and the sum of many
 BONUS_BOUND = 5.0  # standard deviations at which a bonus is cut, so that no tail rules
 HASH_OFFSET = 0x9E3779B9  # so that zeros count; the golden ratio's digits
 HASH_FACTOR = 0x5851F42D4C957F2D  # odd, of Knuth's generator MMIX
@@ -237,6 +240,59 @@ class SaturatingMoments(RobustMoments):
         self.robust_std.copy_(var.sqrt())
 
 
+class InputScaling(nn.Module):
+    """Brings each feature to a root mean square between 0.3 and 10, which most have already.
+
+    A feature within these keeps its unit exactly. None is shifted: a mean that follows what is
+    learned from would move all that a network has learned, most where nearly equal states must be
+    told apart, such as those of a pole that is held upright.
+
+    Args:
+        dim: Number of features.
+    """
+
+    square: Tensor
+    count: Tensor
+    gain: Tensor
+    """Factor of each feature; one until it has been anything but zero."""
+    bound: Tensor
+    """Where each feature is cut, once scaled: ten of its sizes if it is widened."""
+
+    def __init__(self, dim: int) -> None:
+        super().__init__()
+        check_counts(dim=dim)
+        self.register_buffer("square", torch.zeros(dim))
+        self.register_buffer("count", torch.zeros(()))
+        self.register_buffer("gain", torch.ones(dim), persistent=False)
+        self.register_buffer("bound", torch.full((dim,), torch.inf), persistent=False)
+        self.register_load_state_dict_post_hook(_restore_units)
+
+    @torch.no_grad()
+    def update(self, value: Float[Tensor, "batch dim"]) -> None:
+        """Let a batch count; no entry of it for more than ten sizes of its feature."""
+        most = torch.where(self._rests, LARGEST, WHITENED_BOUND * self.square.sqrt())
+        square = value.clamp(-most, most).square().mean(0)
+        self.count.add_(len(value)).clamp_(max=max(INPUT_MEMORY, len(value)))
+        self.square.lerp_(square, len(value) / self.count)
+        self._set_units()
+
+    def forward(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch dim"]:
+        """The features as a network sees them."""
+        return (self.gain * value).clamp(-self.bound, self.bound)
+
+    @property
+    def _rests(self) -> Bool[Tensor, " dim"]:
+        """Features that have no size yet."""
+        return self.square <= VARIANCE_FLOOR
+
+    def _set_units(self) -> None:
+        """Work out gain and bound once, for all uses up to the next update."""
+        least, most = INPUT_SIZES
+        size = torch.where(self._rests, least, self.square.sqrt())
+        self.gain.copy_(size.clamp(least, most) / size)
+        self.bound.copy_(torch.where(self.gain > 1, WHITENED_BOUND * least, torch.inf))
+
+
 WHITENINGS: dict[str, Callable[[int], RunningMoments]] = {
     "moments": partial(RunningMoments, reach=WHITENED_BOUND),
     "robust": RobustMoments,
@@ -305,8 +361,8 @@ def scrambled(number: Int[Tensor, "*batch"]) -> Int[Tensor, "*batch"]:
     return number
 
 
-def _restore_units(moments: RunningMoments, _: object) -> None:
-    moments._set_units()
+def _restore_units(statistics: RunningMoments | InputScaling, _: object) -> None:
+    statistics._set_units()
 
 
 def _recount(every: Every, _: object) -> None:

@@ -8,7 +8,7 @@ import numpy as np
 from jaxtyping import Float32
 
 from deep_curiosity.agent.networks import GaussianPolicy, in_log_std_range
-from deep_curiosity.nn.statistics import WHITENED_BOUND, RunningMoments
+from deep_curiosity.nn.statistics import InputScaling
 
 
 class NumpyPolicy:
@@ -16,7 +16,7 @@ class NumpyPolicy:
 
     Args:
         policy: On the CPU, of one mixture component.
-        moments: By which observations are normalised; left out where they are not.
+        scaling: What brings observations to a size; left out where they are seen as they are.
         number: Which of the policies, where several are stacked; by default the last.
 
     Raises:
@@ -24,7 +24,7 @@ class NumpyPolicy:
     """
 
     def __init__(
-        self, policy: GaussianPolicy, number: int = -1, *, moments: RunningMoments | None = None
+        self, policy: GaussianPolicy, number: int = -1, *, scaling: InputScaling | None = None
     ) -> None:
         if policy.mixture_components != 1:
             raise ValueError(
@@ -34,7 +34,7 @@ class NumpyPolicy:
             (weight.detach()[number].numpy(), bias.detach()[number, 0].numpy())
             for weight, bias in (layer.parameters() for layer in policy.network.layers)
         ]
-        units = None if moments is None else (moments.center.numpy(), moments.scale.numpy())
+        units = None if scaling is None else (scaling.gain.numpy(), scaling.bound.numpy())
         self._units: tuple[np.ndarray, np.ndarray] | None = units
         self._outputs = [np.empty_like(bias) for _, bias in self._layers]
 
@@ -42,7 +42,7 @@ class NumpyPolicy:
         self, observation: Float32[np.ndarray, " observation_dim"], noise: np.ndarray
     ) -> Float32[np.ndarray, " action_dim"]:
         """Action in [-1, 1] for standard normal `noise`, one number for each action dimension."""
-        value = entered = self._normalize(observation)
+        value = entered = self._scale(observation)
         for (weight, bias), output in zip(self._layers, self._outputs, strict=True):
             if value is not entered:
                 np.maximum(value, 0, out=value)
@@ -53,13 +53,12 @@ class NumpyPolicy:
         action: np.ndarray = np.tanh(value[:action_dim] + np.exp(log_std) * noise)
         return action
 
-    def _normalize(
+    def _scale(
         self, observation: Float32[np.ndarray, " observation_dim"]
     ) -> Float32[np.ndarray, " observation_dim"]:
         """The observation as the networks see it; a hunger behind it is left as it is."""
         if self._units is None:
             return observation
-        center, scale = self._units
-        normalized = (observation[: len(center)] - center) / scale
-        normalized = normalized.clip(-WHITENED_BOUND, WHITENED_BOUND)
-        return np.concatenate([normalized, observation[len(center) :]])
+        gain, bound = self._units
+        scaled = (gain * observation[: len(gain)]).clip(-bound, bound)
+        return np.concatenate([scaled, observation[len(gain) :]])

@@ -14,7 +14,7 @@ from deep_curiosity.requirements import require
 from deep_curiosity.trained.policy import ActionBounds, TrainedPolicy
 from deep_curiosity.trained.source import (
     BONUS_WEIGHTS,
-    MOMENTS_PREFIX,
+    SCALING_PREFIX,
     Trained,
     Weights,
     read_trained,
@@ -48,7 +48,7 @@ class Actor(nn.Module):
             _linear(layer.weight[number], layer.bias[number, 0])
             for layer in network.network.layers
         )
-        self.moments = policy.moments
+        self.scaling = policy.scaling
         self.action_dim = network.action_dim
         self.components = network.mixture_components
         self.register_buffer("low", torch.tensor(policy.spaces.action_low, dtype=torch.float32))
@@ -61,7 +61,7 @@ class Actor(nn.Module):
             observation: `(batch, observation_dim)`; windows where the run stacked frames.
             hunger: `(batch, 1)`, of a run that is conditioned on it.
         """
-        value = observation if self.moments is None else self.moments.normalize(observation)
+        value = observation if self.scaling is None else self.scaling(observation)
         value = value if hunger is None else torch.cat([value, hunger], dim=-1)
         for layer in self.layers[:-1]:
             value = torch.relu(layer(value))
@@ -217,8 +217,8 @@ def _write_folder(trained: Trained, policy: TrainedPolicy, out: Path) -> None:
     kept = {name: value for name, value in settings.items() if name not in OF_A_MACHINE}
     write_json(out / CONFIG, kept)
     write_json(out / SPACES, policy.spaces.to_json())
-    moments = {MOMENTS_PREFIX + name: value for name, value in trained.moments.items()}
-    save_file(_contiguous(trained.policy | moments), out / WEIGHTS)
+    scaling = {SCALING_PREFIX + name: value for name, value in trained.scaling.items()}
+    save_file(_contiguous(trained.policy | scaling), out / WEIGHTS)
     if trained.bonus:
         save_file(_contiguous(trained.bonus), out / BONUS_WEIGHTS)
 

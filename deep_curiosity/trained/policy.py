@@ -11,7 +11,7 @@ from torch import Tensor
 
 from deep_curiosity.agent.config import ConditionedHunger
 from deep_curiosity.agent.networks import GaussianPolicy
-from deep_curiosity.nn.statistics import RunningMoments
+from deep_curiosity.nn.statistics import InputScaling
 from deep_curiosity.trained.source import Trained, Weights, read_trained
 from deep_curiosity.training.hunger import battery_hunger
 from deep_curiosity.training.spaces import SPACES, TaskSpaces
@@ -38,7 +38,7 @@ class TrainedPolicy:
     def __init__(self, trained: Trained, action_bounds: ActionBounds | None = None) -> None:
         self.config = trained.config
         self.network = make_policy(trained)
-        self.moments = make_moments(trained)
+        self.scaling = make_scaling(trained)
         self.num_frames = trained.config.environment.frame_stack
         self.spaces = task_spaces(trained, self.network, action_bounds)
 
@@ -124,10 +124,10 @@ class TrainedPolicy:
     def _policy_input(
         self, window: NDArray[np.float32], hunger: Numbers | None
     ) -> NDArray[np.float32]:
-        """The windows, normalised, and behind them the hunger where the run is conditioned."""
+        """The windows as they are seen, and behind them the hunger of a run conditioned on it."""
         seen = window
-        if self.moments is not None:
-            seen = self.moments.normalize(torch.from_numpy(window)).numpy()
+        if self.scaling is not None:
+            seen = self.scaling(torch.from_numpy(window)).numpy()
         if not self.is_conditioned:
             if hunger is not None:
                 raise ValueError(
@@ -188,13 +188,13 @@ def make_policy(trained: Trained) -> GaussianPolicy:
     return policy.eval().requires_grad_(False)
 
 
-def make_moments(trained: Trained) -> RunningMoments | None:
-    """What the policy's observations are normalised by; `None` where they are not."""
-    if not trained.moments:
+def make_scaling(trained: Trained) -> InputScaling | None:
+    """What brings the policy's observations to a size; `None` where it sees them as they are."""
+    if not trained.scaling:
         return None
-    moments = RunningMoments(len(trained.moments["mean"]))
-    moments.load_state_dict(trained.moments)
-    return moments.float().eval()
+    scaling = InputScaling(len(trained.scaling["square"]))
+    scaling.load_state_dict(trained.scaling)
+    return scaling.float().eval()
 
 
 def hidden_weights(policy: Weights) -> list[Tensor]:

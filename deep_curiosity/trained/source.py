@@ -14,7 +14,7 @@ from deep_curiosity.training.spaces import TaskSpaces, read_spaces
 
 BONUS_WEIGHTS = "bonus.safetensors"
 POLICY_PREFIX = "policy."
-MOMENTS_PREFIX = "observation_moments."
+SCALING_PREFIX = "observation_scaling."
 
 Weights = dict[str, Tensor]
 
@@ -27,8 +27,8 @@ class Trained(NamedTuple):
     spaces: TaskSpaces | None
     """Of the task; `None` for a run that did not write them down."""
     policy: Weights
-    moments: Weights
-    """Statistics by which the policy sees observations; nothing where it sees them as they are."""
+    scaling: Weights
+    """What brings observations to a size; nothing where the policy sees them as they are."""
     bonus: Weights
     """Models and statistics of the bonus; nothing where there is no bonus."""
 
@@ -60,7 +60,7 @@ def _with_younger(values: dict[str, Any]) -> dict[str, Any]:
 def _read_run(folder: Path) -> tuple[Weights, Weights, Weights]:
     learner = load_checkpoint(folder)["learner"]
     agent = learner["agent"]
-    return _under(POLICY_PREFIX, agent), _under(MOMENTS_PREFIX, agent), learner["bonus"]
+    return _under(POLICY_PREFIX, agent), _under(SCALING_PREFIX, agent), learner["bonus"]
 
 
 def _read_export(folder: Path) -> tuple[Weights, Weights, Weights]:
@@ -69,9 +69,9 @@ def _read_export(folder: Path) -> tuple[Weights, Weights, Weights]:
 
     bonus = folder / BONUS_WEIGHTS
     weights = load_file(folder / WEIGHTS)
-    moments = _under(MOMENTS_PREFIX, weights)
-    policy = {name: weights[name] for name in weights if not name.startswith(MOMENTS_PREFIX)}
-    return policy, moments, load_file(bonus) if bonus.exists() else {}
+    scaling = _under(SCALING_PREFIX, weights)
+    policy = {name: weights[name] for name in weights if not name.startswith(SCALING_PREFIX)}
+    return policy, scaling, load_file(bonus) if bonus.exists() else {}
 
 
 def _under(prefix: str, weights: Weights) -> Weights:

@@ -304,8 +304,8 @@ class Learner:
         )
         if not applies:
             return None
-        policy, moments = self.agent.policy, self.agent.observation_moments
-        return NumpyPolicy(policy, moments=moments), NumpyPolicy(policy, 0, moments=moments)
+        policy, scaling = self.agent.policy, self.agent.observation_scaling
+        return NumpyPolicy(policy, scaling=scaling), NumpyPolicy(policy, 0, scaling=scaling)
 
     def _random_state(self) -> dict[str, Tensor]:
         """State of the global generators that the run samples from."""

@@ -15,7 +15,7 @@ LEARNED = (
     "critics.",
     "target_critics.",
     "prior.",
-    "observation_moments.",
+    "observation_scaling.",
     "value_stds",
     "curiosity_mean",
 )

@@ -3,7 +3,7 @@ import pytest
 import torch
 
 from deep_curiosity.agent.networks import GaussianPolicy
-from deep_curiosity.nn.statistics import RunningMoments
+from deep_curiosity.nn.statistics import InputScaling
 from deep_curiosity.speed.numpy_policy import NumpyPolicy
 
 
@@ -20,14 +20,14 @@ def test_it_acts_as_its_policy_does_and_follows_its_updates():
 
 @pytest.mark.parametrize("hunger", [[], [0.7]])
 def test_it_sees_observations_in_their_units_and_the_hunger_as_it_is(hunger):
-    moments = RunningMoments(3)
+    scaling = InputScaling(3)
     policy = GaussianPolicy(3 + len(hunger), 2, hidden_dims=(8, 8))
-    numpy_policy = NumpyPolicy(policy, moments=moments)
+    numpy_policy = NumpyPolicy(policy, scaling=scaling)
     observation, noise = torch.tensor([[300.0, 5.0, -0.01]]), torch.zeros(1, 1, 2)
     for _ in range(2):
-        moments.update(torch.randn(9, 3) * torch.tensor([100.0, 1.0, 1e-4]))
-        seen = torch.cat([moments.normalize(observation), torch.tensor([hunger])], dim=-1)
-        assert seen.abs().max() == 10  # of its deviations, where what is seen is cut
+        scaling.update(torch.randn(9, 3) * torch.tensor([100.0, 1.0, 2e-4]))
+        seen = torch.cat([scaling(observation), torch.tensor([hunger])], dim=-1)
+        assert seen[0, 0] < 300 and seen[0, 1:3].tolist() == [5, -3]  # cut at ten of its sizes
         expected = torch.tanh(policy(seen).component_samples(noise))[0, 0].detach()
         entered = np.array([*observation[0].tolist(), *hunger], dtype=np.float32)
         action = numpy_policy.act(entered, noise[0, 0].numpy())

@@ -53,7 +53,7 @@ def test_actions_are_those_of_the_agent_in_units_of_the_task(run_of, curious):
 def test_a_policy_that_saw_observations_normalised_does_so(run_of):
     folder = run_of(normalize_observations=True)
     policy = dc.load(folder)
-    assert policy.moments is not None and policy.moments.count > 0
+    assert policy.scaling is not None and policy.scaling.count > 0
     assert_acts_as_agent(policy, folder)
 
 
@@ -63,7 +63,7 @@ def test_a_run_that_saw_observations_as_they_are_is_loaded_so(run_of, tmp_path):
     del values["normalize_observations"]  # younger than such a run
     (folder / "config.json").write_text(json.dumps(values))
     policy = dc.load(folder)
-    assert not policy.config.agent.normalize_observations and policy.moments is None
+    assert not policy.config.agent.normalize_observations and policy.scaling is None
     assert_acts_as_agent(policy, folder)
 
 
