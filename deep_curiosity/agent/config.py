@@ -160,7 +160,7 @@ class AgentConfig(Group):
     """Share of the critics that moves into the target critics at each update."""
     normalize_observations: bool = False
     """Show policy and critics each entry of an observation in a unit in which its root mean square
-    lies between 0.3 and 10, over what was learned from of late: a speed of 0.07 is widened, and
+    lies between 0.1 and 10, over what was learned from of late: a speed of 0.03 is widened, and
     what lies between is seen as it is. Models and bonus have units of their own either way."""
     critic_layer_norm: bool = False
     """Normalise every hidden layer of the critics, which bounds what they extrapolate."""

@@ -24,7 +24,7 @@ MORE_SCALE_STEPS, FALLING = 24, 0.9  # where it still falls, as with an absurd r
 WHITENED_BOUND = 10.0  # a feature that starts to move late would drown all others
 STATISTICS_MEMORY = 1_280.0  # rows; a bonus drifts as its model learns, so old ones fade
 INPUT_MEMORY = 51_200.0  # rows after which old ones fade; replay widens as it fills
-INPUT_SIZES = 0.3, 10.0  # root mean squares that a network is shown as they are
+INPUT_SIZES = 0.1, 10.0  # root mean squares that a network is shown as they are
 LARGEST = 1e15  # whose square a float32 still holds, and the sum of many
 BONUS_BOUND = 5.0  # standard deviations at which a bonus is cut, so that no tail rules
 HASH_OFFSET = 0x9E3779B9  # so that zeros count; the golden ratio's digits
@@ -241,7 +241,7 @@ class SaturatingMoments(RobustMoments):
 
 
 class InputScaling(nn.Module):
-    """Brings each feature to a root mean square between 0.3 and 10, which most have already.
+    """Brings each feature to a root mean square between 0.1 and 10, which most have already.
 
     A feature within these keeps its unit exactly. None is shifted: a mean that follows what is
     learned from would move all that a network has learned, most where nearly equal states must be

@@ -245,7 +245,7 @@ def test_a_unit_far_from_one_makes_no_difference(options):
         batch = batch._replace(
             observation=small * batch.observation, next_observation=small * batch.next_observation
         )
-        unit = torch.tensor([0.1, 1.0, 30.0])
+        unit = torch.tensor([0.2, 1.0, 30.0])
         changed = batch._replace(
             observation=unit * batch.observation, next_observation=unit * batch.next_observation
         )
@@ -270,7 +270,7 @@ def test_what_is_seen_is_brought_to_the_size_of_the_batches_of_late():
     square = torch.cat(batches).square().mean(0)
     torch.testing.assert_close(agent.observation_scaling.square, square)
     seen = agent.policy_input(torch.cat(batches))
-    expected = torch.tensor([0.3, square[1].sqrt(), 10.0])
+    expected = torch.tensor([0.1, square[1].sqrt(), 10.0])
     torch.testing.assert_close(seen.square().mean(0).sqrt(), expected)
     assert seen[:, 1].equal(torch.cat(batches)[:, 1])
     observation = torch.randn(4, 3)
