@@ -158,7 +158,7 @@ class AgentConfig(Group):
     """Learning rate of policy, critics, prior and temperature."""
     polyak: float = setting(0.02, above=0, at_least=1e-6, at_most=1)
     """Share of the critics that moves into the target critics at each update."""
-    normalize_observations: bool = False
+    normalize_observations: bool = True
     """Show policy and critics each entry of an observation in a unit in which its root mean square
     lies between 0.1 and 10, over what was learned from of late: a speed of 0.03 is widened, and
     what lies between is seen as it is. Models and bonus have units of their own either way."""

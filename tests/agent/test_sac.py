@@ -262,7 +262,7 @@ def test_a_unit_far_from_one_makes_no_difference(options):
 
 
 def test_what_is_seen_is_brought_to_the_size_of_the_batches_of_late():
-    agent = plain_agent(normalize_observations=True)
+    agent = plain_agent()
     size = torch.tensor([0.01, 1.0, 100.0])
     batches = [size * random_transition().observation for _ in range(3)]
     for batch in batches:
@@ -274,7 +274,7 @@ def test_what_is_seen_is_brought_to_the_size_of_the_batches_of_late():
     torch.testing.assert_close(seen.square().mean(0).sqrt(), expected)
     assert seen[:, 1].equal(torch.cat(batches)[:, 1])
     observation = torch.randn(4, 3)
-    assert plain_agent().policy_input(observation) is observation
+    assert plain_agent(normalize_observations=False).policy_input(observation) is observation
 
 
 def test_a_bonus_that_is_maximised_itself_is_given_observations_as_they_are():
@@ -960,7 +960,7 @@ def test_where_conditioned_policy_and_critics_are_given_the_hunger_and_nothing_e
     assert policy_input[:, 3].tolist() == [0.0, 0.25, 0.5, 1.0]
     agent.hunger = 0.75
     assert agent.policy_input(observation)[:, 3].tolist() == [0.75] * 4
-    assert small_agent().policy_input(observation) is observation
+    assert small_agent(normalize_observations=False).policy_input(observation) is observation
 
 
 def test_hunger_must_be_one_number_or_one_for_each():

@@ -15,8 +15,8 @@ RNG = np.random.default_rng(0)
 OBSERVATIONS = RNG.normal(size=(5, 3)).astype(np.float32)
 HUNGER = np.array([0, 0.25, 0.5, 0.75, 1], np.float32)
 CONDITIONED = {"hunger": "conditioned:0.5", "policy_mixture_components": 2}
-NORMALIZED = {"normalize_observations": True}
-RUNS = [{}, CONDITIONED | NORMALIZED, NORMALIZED, {"bonus": "none"}]
+RAW = {"normalize_observations": False}
+RUNS = [{}, CONDITIONED | RAW, RAW, {"bonus": "none"}]
 
 
 def run_torch(path, inputs):
@@ -38,7 +38,7 @@ RUNNERS = {".pt2": run_torch, ".onnx": run_onnx}
     [
         (".onnx", {}),
         (".onnx", CONDITIONED),
-        (".onnx", NORMALIZED),
+        (".onnx", RAW),
         *((".pt2", settings) for settings in RUNS),
     ],
 )

@@ -30,7 +30,7 @@ TASKS = [
     halved(CARTPOLE_SPARSE, 20_000),
 ]
 DEFAULT: Agents = {"default": {}}
-NORMALIZED: Agents = {"normalised observations": {"normalize_observations": True}}
+RAW: Agents = {"raw observations": {"normalize_observations": False}}
 AGENTS: Agents = {
     **DEFAULT,
     "no greedy policy": {"greedy_share": 0.0},
@@ -41,7 +41,7 @@ AGENTS: Agents = {
     "nothing forgotten": {"marginal_half_life": None},
     "soft backup": {"soft_backup": True},
     "layer norm": {"critic_layer_norm": True},
-    **NORMALIZED,
+    **RAW,
     **UNIFORM,
 }
 OTHER_UNITS = [CAR] + [
@@ -85,7 +85,7 @@ SCORED: dict[str, Any] = {
 STUDIES = {
     "harm": Study(DENSE_TASKS, CURIOSITY | PLAIN, seeds=8, **SCORED),
     "development": Study(TASKS, AGENTS, seeds=8, **SCORED),
-    "units": Study(OTHER_UNITS, DEFAULT | NORMALIZED, seeds=4, **SCORED),
+    "units": Study(OTHER_UNITS, DEFAULT | RAW, seeds=4, **SCORED),
     "standardization": Study(
         FIXED_TASKS,
         {
