@@ -16,6 +16,7 @@ TABLES = {  # whose names are not those of their studies
     "noise-uniform": "noise",
     "harm-learned": "harm",
     "harm-default": "harm",
+    "harm-units": "harm",
     "uniform_prior": "results",
     "one-nat": "development",
     "shared-prior": "development",
@@ -29,7 +30,9 @@ TABLES = {  # whose names are not those of their studies
     "units-kept": "units",
     "information-gain": "development",
     "cartpole-swingup": "development",
-    "units-mountain-car": "units",
+    "units-eight": "units",
+    "units-deviations": "units",
+    "units-unshifted": "units",
 }
 
 

@@ -55,7 +55,7 @@ def flat(state, prefix=""):
 
 def learned_weight(config):
     """First layer of the policy that a short run ends with."""
-    train(config.override(total_steps=30), show_progress=False)
+    train(config, show_progress=False)
     agent = load_checkpoint(config.run.out)["learner"]["agent"]
     return agent["policy.network.layers.0.weight"][-1:]  # of the curious policy
 
