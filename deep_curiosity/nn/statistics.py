@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
-from deep_curiosity.transitions import check_counts, is_number
+from deep_curiosity.transitions import LARGEST, check_counts, is_number
 
 VARIANCE_FLOOR = 1e-8  # a feature that never moves is whitened by 1e-4 of its unit, not by zero
 NUM_DRAWN = 2_048  # rows: an interquartile range of so many is right to 3 %
@@ -25,7 +25,6 @@ WHITENED_BOUND = 10.0  # a feature that starts to move late would drown all othe
 STATISTICS_MEMORY = 1_280.0  # rows; a bonus drifts as its model learns, so old ones fade
 INPUT_MEMORY = 51_200.0  # rows after which old ones fade; replay widens as it fills
 INPUT_SIZES = 0.1, 10.0  # root mean squares that a network is shown as they are
-LARGEST = 1e15  # whose square a float32 still holds, and the sum of many
 BONUS_BOUND = 5.0  # standard deviations at which a bonus is cut, so that no tail rules
 HASH_OFFSET = 0x9E3779B9  # so that zeros count; the golden ratio's digits
 HASH_FACTOR = 0x5851F42D4C957F2D  # odd, of Knuth's generator MMIX
