@@ -16,6 +16,7 @@ from dataclasses import replace
 from functools import partial
 from importlib.metadata import version
 from typing import Any
+from weakref import WeakValueDictionary
 
 import gymnasium
 import numpy as np
@@ -201,27 +202,39 @@ def _has_time_limit(task: gymnasium.Env) -> bool:
     return False
 
 
-def made_anew(make_env: MakeEnv) -> MakeEnv:
-    """The function, checked to make another environment at every call.
+class EnvironmentMaker:
+    """A function that makes environments, checked to make another one at every call.
 
-    Raises:
-        ValueError: When it is called, if it returns one of before: two that step the same would
-            tear each other's episodes.
+    Args:
+        make_env: The function. Where this is pickled, it is all that is.
     """
-    made: set[tuple[int, int]] = set()
 
-    def make() -> gymnasium.Env:
-        task = make_env()
-        own = os.getpid(), id(getattr(task, "unwrapped", task))
-        if own in made:
+    def __init__(self, make_env: MakeEnv) -> None:
+        self.make_env = make_env
+        self._made: WeakValueDictionary[tuple[int, int], gymnasium.Env] = WeakValueDictionary()
+
+    def __call__(self) -> gymnasium.Env:
+        """Make one.
+
+        Raises:
+            ValueError: If it is one of before: two that step the same would tear each other's
+                episodes.
+        """
+        task = self.make_env()
+        own = getattr(task, "unwrapped", task)
+        if not isinstance(own, gymnasium.Env):
+            return task  # which is refused for what it is
+        key = os.getpid(), id(own)
+        if key in self._made:
             raise ValueError(
                 "`make_env` must make a new environment at every call, got the same one twice: "
                 f"{task}."
             )
-        made.add(own)
+        self._made[key] = own
         return task
 
-    return make
+    def __reduce__(self) -> tuple[type["EnvironmentMaker"], tuple[MakeEnv]]:
+        return EnvironmentMaker, (self.make_env,)
 
 
 def _of_another_mujoco(spec: EnvSpec, error: AssertionError) -> Exception:

@@ -42,9 +42,9 @@ from deep_curiosity.training.config import (
 from deep_curiosity.training.divergence import DivergedError, broken_loss, broken_weight
 from deep_curiosity.training.environments import (
     MADE_BY_FUNCTION,
+    EnvironmentMaker,
     MakeEnv,
     action_dim,
-    made_anew,
     make_environment,
     make_vector_environment,
     num_cells,
@@ -403,7 +403,7 @@ def open_run(
         raise ValueError("`new_episode` must be left out where no run is continued, got True.")
     config = with_make_env(config, make_env)
     if make_env is not None:
-        make_env = made_anew(make_env)
+        make_env = EnvironmentMaker(make_env)
     if resume:
         own = read_config(config.run.out)
         config = merge_config(config, own)

@@ -4,6 +4,7 @@ import subprocess
 import sys
 from dataclasses import replace
 
+import cloudpickle
 import gymnasium
 import numpy as np
 import pytest
@@ -18,8 +19,8 @@ from deep_curiosity.training.config import EnvironmentConfig
 from deep_curiosity.training.environments import (
     MADE_BY_FUNCTION,
     MAX_EPISODE_STEPS,
+    EnvironmentMaker,
     check_spaces,
-    made_anew,
     make_environment,
     make_vector_environment,
     num_cells,
@@ -386,12 +387,27 @@ def test_a_task_without_a_limit_is_told_of_and_cut_off():
 
 def test_a_function_that_hands_out_one_environment_again_is_refused():
     one = Task()
-    make = made_anew(lambda: one)
+    make = EnvironmentMaker(lambda: one)
     assert make() is one
     with pytest.raises(ValueError, match="`make_env` must make a new environment at every call"):
         make()
-    make = made_anew(Task)
-    assert make() is not make()
+    make = EnvironmentMaker(Task)
+    kept = [make(), make()]
+    assert kept[0] is not kept[1]
+
+
+def test_an_environment_that_was_let_go_is_none_of_before_even_where_its_place_is_taken():
+    make, places = EnvironmentMaker(Task), set()
+    for _ in range(100):
+        places.add(id(make()))
+    assert len(places) < 100
+
+
+def test_a_function_that_makes_environments_goes_to_workers_alone():
+    make = EnvironmentMaker(Task)
+    kept = make()
+    there = cloudpickle.loads(cloudpickle.dumps(make))
+    assert type(there()) is type(kept) and there.make_env is Task
 
 
 def test_success_is_heard_and_ends_an_episode_if_that_is_wanted(own):
