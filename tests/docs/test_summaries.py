@@ -18,6 +18,7 @@ TABLES = {  # whose names are not those of their studies
     "harm-default": "harm",
     "harm-units": "harm",
     "uniform_prior": "results",
+    "raw_observations": "results",
     "one-nat": "development",
     "shared-prior": "development",
     "half-life-4": "development",
