@@ -30,7 +30,8 @@ def test_a_run_begins_with_what_another_has_learned(tiny, begun):
         agent = learner.agent.state_dict()
         learned = [name for name in agent if name.startswith(LEARNED)]
         assert {name.split(".")[0] for name in learned} == {
-            "policy", "critics", "target_critics", "prior", "value_stds", "curiosity_mean"
+            "policy", "critics", "target_critics", "prior", "value_stds", "curiosity_mean",
+            "observation_scaling",
         }  # fmt: skip
         for name in learned:
             same(agent[name], saved["agent"][name])
@@ -43,17 +44,18 @@ def test_a_run_begins_with_what_another_has_learned(tiny, begun):
 
 
 def test_what_observations_were_normalised_by_is_begun_with(tiny, tmp_path):
-    normalizing = tiny.override(normalize_observations=True)
-    folder = tmp_path / "normalizing"
-    train(normalizing.override(out=folder), show_progress=False)
-    with open_run(normalizing.override(seed=5, init_from=folder)) as run:
+    folder = tmp_path / "before"
+    train(tiny.override(out=folder), show_progress=False)
+    with open_run(tiny.override(seed=5, init_from=folder)) as run:
         scaling = run.learner.agent.observation_scaling
         saved = load_checkpoint(folder)["learner"]["agent"]
         same(scaling.square, saved["observation_scaling.square"])
         assert scaling.square.max() > 0
     with (
         pytest.raises(ValueError, match="normalize_observations"),
-        open_run(tiny.override(out=tmp_path / "other", init_from=folder)),
+        open_run(
+            tiny.override(out=tmp_path / "other", init_from=folder, normalize_observations=False)
+        ),
     ):
         pass
 
