@@ -240,7 +240,7 @@ class SaturatingMoments(RobustMoments):
 
 
 class InputScaling(nn.Module):
-    """Brings each feature to a root mean square between 0.1 and 10, which most have already.
+    """Brings each feature to a root mean square between 0.1 and 10.
 
     A feature within these keeps its unit exactly. None is shifted: a mean that follows what is
     learned from would move all that a network has learned, most where nearly equal states must be

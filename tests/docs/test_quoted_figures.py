@@ -440,22 +440,13 @@ def test_what_is_said_of_units_is_what_was_measured():
 def paired(table, task):
     """Interval of how much larger the area of the default is, paired by seed."""
     areas = {
-        agent: [row["area"] for row in sorted(own, key=lambda row: row["seed"])]
-        for (its, agent), own in grouped(
-            rows_of(f"docs/development/units{table}.csv"), "task", "agent"
-        ).items()
-        if its == task
+        (row["agent"], row["seed"]): row["area"]
+        for row in rows_of(f"docs/development/units{table}.csv")
+        if row["task"] == task
     }
-    difference = np.subtract(areas["default"], areas[RAW])
-    found = bootstrap([difference])
+    seeds = sorted({seed for _, seed in areas})
+    found = bootstrap([[areas["default", seed] - areas[RAW, seed] for seed in seeds]])
     return f"[{found.low:.0f}, {found.high:.0f}]"
-
-
-def solved_of_eight(task, agent):
-    rows = rows_of("docs/development/units-eight.csv")
-    return (
-        f"{sum(row['solved'] for row in rows if (row['task'], row['agent']) == (task, agent)):.0f}"
-    )
 
 
 def test_what_is_said_of_differences_in_other_units_is_what_was_measured():
@@ -466,10 +457,12 @@ def test_what_is_said_of_differences_in_other_units_is_what_was_measured():
     said = (
         "say the same: {} on the mountain car, {} on the point mass, where the default solves {} "
     )
-    figures = [paired("-eight", car), paired("-eight", point), solved_of_eight(point, "default")]
-    assert (
-        said.format(*figures) + f"of 8 and raw observations {solved_of_eight(point, RAW)}." in page
-    )
+    solved = [
+        solved_runs("docs/development/units-eight.csv", agent)[point] for agent in ("default", RAW)
+    ]
+    said += "of 8 and raw observations {}."
+    figures = [paired("-eight", car), paired("-eight", point), *(f"{runs:.0f}" for runs in solved)]
+    assert said.format(*figures) in page
 
 
 def test_what_is_said_of_harm_by_other_units_is_what_was_measured():
@@ -486,12 +479,12 @@ def test_what_is_said_of_harm_by_other_units_is_what_was_measured():
     assert said.format(*areas) in text_of("docs/development/README.md")
 
 
-def solved_runs(path):
-    """Of each task of the default's table on development tasks: how many runs end solved."""
+def solved_runs(path, agent="default"):
+    """Of each task of a table: how many runs of an agent end solved."""
     return {
         task: sum(row["solved"] for row in own)
-        for (task, agent), own in grouped(rows_of(path), "task", "agent").items()
-        if agent == "default"
+        for (task, its), own in grouped(rows_of(path), "task", "agent").items()
+        if its == agent
     }
 
 
