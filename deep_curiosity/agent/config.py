@@ -127,6 +127,9 @@ class CuriosityValueConfig(Group):
     """Share of the steps at which a second policy acts that maximises the reward's value alone;
     the value is then about this one, and it acts in evaluations. By default a quarter; 0, and the
     value is about the curious policy, where the agent is conditioned on its hunger."""
+    adaptive_greedy_share: bool | None = None
+    """Let that share grow as reward comes to distinguish states: to one less the ratio of the
+    adaptive coefficient, at most 0.95. By default where there is a greedy policy."""
     ends: int | None = setting(None, name="curiosity_ends", at_most=MOST_STEPS)
     """Environment step from which only reward counts; by default none."""
 
@@ -199,6 +202,11 @@ class AgentConfig(Group):
                 "`greedy_share` must be left out or 0 where conditioned on hunger, "
                 f"got {self.curiosity.greedy_share}."
             )
+        if self.curiosity.adaptive_greedy_share and not self.greedy_share:
+            raise ValueError(
+                "`adaptive_greedy_share` must be left out or False where `greedy_share` is 0 or "
+                "the agent is conditioned on its hunger, got True."
+            )
         if self.curiosity.discount == 0:
             self._refuse_settings_of_curiosity_value()
 
@@ -232,7 +240,7 @@ class AgentConfig(Group):
 
     @property
     def greedy_share(self) -> float:
-        """Share of a curious agent's steps at which its greedy policy acts."""
+        """Share of a curious agent's steps at which its greedy policy acts, at least."""
         if self.curiosity.greedy_share is not None:
             return self.curiosity.greedy_share
         return 0.0 if self.is_conditioned else DEFAULT_GREEDY_SHARE

@@ -52,6 +52,7 @@ STD_DECAY = 0.99  # of the running standard deviations of the values, for each u
 LOG_TEMPERATURES = math.log(TEMPERATURES[0]), math.log(TEMPERATURES[1])
 MOST_NATS = 10.0  # of an action dimension; the narrowest policy has 4.3 in the middle of the box
 ADAPTIVE = -1.0  # in the place of a fixed coefficient, which is never negative
+MOST_GREEDY_SHARE = 0.95  # of the steps: the curious policy is never left aside
 PARITY_FLOOR = 1e-3  # of their ratio: a conditioned agent lifts curiosity by at most a thousand
 
 BonusFunction = Callable[..., Tensor]
@@ -146,9 +147,7 @@ class CuriousSAC(nn.Module):
         self.num_steps = steps if self.has_curiosity_critic else steps[:1]
         """Steps that are summed in the target of each value."""
         self.looks_past_the_end = self.has_curiosity_critic and not config.curiosity.episodic
-        self.greedy_share = config.greedy_share if curiosity else 0.0
-        """Share of the steps at which the greedy policy should act; 0 where there is none."""
-        self.has_greedy_policy = self.greedy_share > 0
+        self.has_greedy_policy = curiosity and config.greedy_share > 0
         """Whether reward's value is about a second policy, which maximises nothing else."""
         self.sequence_length = max(self.num_steps) + self.looks_past_the_end
         """Steps that the sequences of a batch should have: what is summed, and what follows."""
@@ -272,6 +271,23 @@ class CuriousSAC(nn.Module):
         with torch.no_grad():
             self.log_temperature.fill_(math.log(value))
 
+    @property
+    def greedy_share(self) -> float:
+        """Share of the steps at which the greedy policy should act now, 0 if there is none.
+
+        By default it grows as reward comes to distinguish states: where curiosity has faded, what
+        is left of it is not worth that the greedy policy learns from what another does.
+        """
+        if not self.has_greedy_policy:
+            return 0.0
+        least = self.config.greedy_share
+        if self.config.curiosity.adaptive_greedy_share is False:
+            return least
+        most = max(least, MOST_GREEDY_SHARE)
+        share = 1 - self._ratio_of_spreads(self._hunger)
+        share = torch.where(self.value_stds[0] > 0, share, 0.0)  # before anything was learned
+        return share.clamp(least, most).item()
+
     def policy_input(
         self,
         observation: Float[Tensor, "*values batch observation_dim"],
@@ -389,6 +405,8 @@ class CuriousSAC(nn.Module):
                 carry about them is estimated from both sides; left out without.
         """
         metrics = {"hunger": self._hunger.clone()} | self.prior.metrics()
+        if self.has_greedy_policy:
+            metrics["greedy_share"] = torch.tensor(self.greedy_share)
         if self.has_curiosity_critic:
             metrics["curiosity_coefficient"] = self._coefficient(self._hunger)
         if observation is not None:
@@ -629,15 +647,18 @@ class CuriousSAC(nn.Module):
         """Weight of the curiosity value in the policy's objective at each hunger."""
         if not self.curiosity:
             return torch.zeros_like(hunger)
-        # by how much curiosity distinguishes states, over reward
+        if self.is_conditioned:
+            ratio = self._ratio_of_spreads(torch.ones_like(hunger))
+            adaptive = (1 - hunger) / ratio.clamp(min=PARITY_FLOOR)
+        else:  # in the policy's objective, where reward's value counts `hunger` times
+            adaptive = self._ratio_of_spreads(hunger)
+        return torch.where(self._fixed_coefficient < 0, adaptive, self._fixed_coefficient)
+
+    def _ratio_of_spreads(self, hunger: Hunger) -> Hunger:
+        """By how much curiosity distinguishes states, over hunger times reward; at most 1."""
         reward_std, curiosity_std = self.value_stds
         tiny = torch.finfo(reward_std.dtype).tiny
-        if self.is_conditioned:
-            ratio = curiosity_std / reward_std.clamp(min=tiny)
-            adaptive = (1 - hunger) / ratio.clamp(PARITY_FLOOR, 1.0)
-        else:  # in the policy's objective, where reward's value counts `hunger` times
-            adaptive = (curiosity_std / (hunger * reward_std).clamp(min=tiny)).clamp(max=1.0)
-        return torch.where(self._fixed_coefficient < 0, adaptive, self._fixed_coefficient)
+        return (curiosity_std / (hunger * reward_std).clamp(min=tiny)).clamp(max=1.0)
 
     def _update_prior(self, sample: PolicySample) -> dict[str, Tensor]:
         """Fit a learned prior to what the curious policy does.

@@ -460,6 +460,7 @@ YOUNGER: dict[str, Any] = {
     "hindsight": None,
     "action_repeat": 1,
     "normalize_observations": False,
+    "adaptive_greedy_share": False,
 }
 """Settings that came after the first runs, with the value by which these were as they are."""
 LEARNING_STAYS = (

@@ -15,27 +15,32 @@ class GreedyStretches:
 
     Args:
         num_envs: Number of environments.
-        share: Share of the steps that are greedy; random numbers are torch's own.
         length: Mean length of a greedy stretch, in steps; longer where the share asks for it,
             since a curious stretch has one step at least.
 
     Reference: Pislar et al., "When should agents explore?" (2022), on switching within episodes.
     """
 
-    def __init__(self, num_envs: int, share: float, length: float) -> None:
-        self.share = share
+    def __init__(self, num_envs: int, length: float) -> None:
+        self.length = length
         self.is_greedy: NDArray[np.bool_] = np.zeros(num_envs, dtype=bool)
         """Whether the greedy policy acts in each environment; at first it does in none."""
-        self._stop = 1 / max(length, share / (1 - share))
-        self._start = self._stop * share / (1 - share)
 
-    def record(self, ended: np.ndarray) -> None:
-        """Choose for the next step, afresh where an episode has ended."""
-        if self.share == 0:
+    def record(self, ended: np.ndarray, share: float) -> None:
+        """Choose for the next step, afresh where an episode has ended.
+
+        Args:
+            ended: Whether the episode has, in each environment.
+            share: Of the steps, that are to be greedy, from 0 and below 1; random numbers are
+                torch's own, and none is taken at 0.
+        """
+        if share == 0:
             return
+        odds = share / (1 - share)
+        stop = 1 / max(self.length, odds)
         chance = torch.rand(len(ended)).numpy()
         stays = self.is_greedy & ~ended
-        threshold = np.where(ended, self.share, np.where(stays, 1 - self._stop, self._start))
+        threshold = np.where(ended, share, np.where(stays, 1 - stop, stop * odds))
         self.is_greedy = chance < threshold
 
     def state_dict(self) -> dict[str, Any]:

@@ -67,7 +67,6 @@ class Learner:
             self.bonus.to(self.device)
         self.greedy_stretches = GreedyStretches(
             config.environment.num_envs,
-            self.agent.greedy_share,
             length=1 / (1 - config.agent.curiosity.discount),  # as far as curiosity looks ahead
         )
         self.noise = make_noise(config.run.exploration, config.environment.num_envs, action_dim)
@@ -162,7 +161,7 @@ class Learner:
         self.replay.extend(*step)
         ended = np.logical_or(step.terminated, step.truncated)
         self.hunger_controller.record(step.reward, ended)
-        self.greedy_stretches.record(ended)
+        self.greedy_stretches.record(ended, self.agent.greedy_share)
         if self.noise is not None:
             for index in np.flatnonzero(ended):
                 self.noise.begin(int(index))

@@ -7,10 +7,10 @@ from deep_curiosity.training.greedy import GreedyStretches
 from deep_curiosity.training.learner import Learner
 
 
-def walk(stretches, num_steps, *, end_every=10**9):
+def walk(stretches, num_steps, share, *, end_every=10**9):
     seen = []
     for step in range(1, num_steps + 1):
-        stretches.record(np.full(len(stretches.is_greedy), step % end_every == 0))
+        stretches.record(np.full(len(stretches.is_greedy), step % end_every == 0), share)
         seen.append(stretches.is_greedy)
     return np.array(seen)
 
@@ -19,33 +19,33 @@ def walk(stretches, num_steps, *, end_every=10**9):
 @pytest.mark.parametrize("end_every", [10**9, 7])
 def test_as_many_steps_are_greedy_as_asked(share, length, end_every):
     torch.manual_seed(0)
-    stretches = GreedyStretches(20, share, length)
+    stretches = GreedyStretches(20, length)
     assert not stretches.is_greedy.any()
-    seen = walk(stretches, 4_000, end_every=end_every)
+    seen = walk(stretches, 4_000, share, end_every=end_every)
     assert seen[100:].mean() == pytest.approx(share, abs=0.02)
 
 
 def test_a_greedy_stretch_is_as_long_as_asked():
     torch.manual_seed(0)
-    seen = walk(GreedyStretches(20, 0.25, 10.0), 4_000)
+    seen = walk(GreedyStretches(20, 10.0), 4_000, 0.25)
     begins = (seen[1:] & ~seen[:-1]).sum()
     assert seen.sum() / begins == pytest.approx(10, rel=0.05)
 
 
 def test_without_a_share_none_is_greedy_and_no_random_number_is_taken():
     before = torch.get_rng_state()
-    assert not walk(GreedyStretches(1, 0.0, 10.0), 20, end_every=5).any()
+    assert not walk(GreedyStretches(1, 10.0), 20, 0.0, end_every=5).any()
     assert torch.get_rng_state().equal(before)
 
 
 def test_a_resumed_run_goes_on_with_the_same_stretches():
-    stretches, other = GreedyStretches(3, 0.5, 3.0), GreedyStretches(3, 0.5, 3.0)
-    walk(stretches, 10)
+    stretches, other = GreedyStretches(3, 3.0), GreedyStretches(3, 3.0)
+    walk(stretches, 10, 0.5)
     other.load_state_dict(stretches.state_dict())
     random_state = torch.get_rng_state()
-    expected = walk(stretches, 50)
+    expected = walk(stretches, 50, 0.5)
     torch.set_rng_state(random_state)
-    assert (walk(other, 50) == expected).all()
+    assert (walk(other, 50, 0.5) == expected).all()
 
 
 @pytest.mark.parametrize(("num_envs", "numpy_policy"), [(1, True), (1, False), (2, True)])

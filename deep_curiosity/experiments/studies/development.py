@@ -31,6 +31,7 @@ TASKS = [
 ]
 DEFAULT: Agents = {"default": {}}
 RAW: Agents = {"raw observations": {"normalize_observations": False}}
+STEADY: Agents = {"steady greedy share": {"adaptive_greedy_share": False}}
 AGENTS: Agents = {
     **DEFAULT,
     "no greedy policy": {"greedy_share": 0.0},
@@ -41,6 +42,7 @@ AGENTS: Agents = {
     "nothing forgotten": {"marginal_half_life": None},
     "soft backup": {"soft_backup": True},
     "layer norm": {"critic_layer_norm": True},
+    **STEADY,
     **RAW,
     **UNIFORM,
 }
@@ -83,7 +85,7 @@ SCORED: dict[str, Any] = {
 }
 """How the protocol compares agents."""
 STUDIES = {
-    "harm": Study(DENSE_TASKS, CURIOSITY | PLAIN, seeds=8, **SCORED),
+    "harm": Study(DENSE_TASKS, CURIOSITY | PLAIN | STEADY, seeds=8, **SCORED),
     "development": Study(TASKS, AGENTS, seeds=8, **SCORED),
     "units": Study(OTHER_UNITS, DEFAULT | RAW, seeds=4, **SCORED),
     "standardization": Study(
