@@ -152,6 +152,45 @@ def test_a_greedy_share_that_would_do_nothing_is_refused():
         CuriousSAC.default(3, 2, greedy_share=0.25, hunger="random")
 
 
+@pytest.mark.parametrize(
+    ("reward_std", "curiosity_std", "hunger", "share"),
+    [
+        (0.0, 0.0, 1.0, 0.25),  # before anything was learned
+        (0.0, 2.0, 1.0, 0.25),  # no state is worth more than another
+        (2.0, 2.0, 1.0, 0.25),
+        (4.0, 3.5, 1.0, 0.25),
+        (4.0, 2.0, 1.0, 0.5),
+        (4.0, 2.0, 2.0, 0.75),  # the hungrier the sooner
+        (4.0, 2.0, 0.5, 0.25),
+        (4.0, 0.5, 0.0, 0.25),  # reward counts nothing
+        (100.0, 1.0, 1.0, 0.95),  # the curious policy is never left aside
+    ],
+)
+@pytest.mark.parametrize("curiosity_discount", [0.0, 0.5])
+def test_greed_takes_over_where_reward_distinguishes_states(
+    reward_std, curiosity_std, hunger, share, curiosity_discount
+):
+    agent = greedy_agent(hunger=hunger, curiosity_discount=curiosity_discount)
+    agent.value_stds[:] = torch.tensor([reward_std, curiosity_std])
+    assert agent.greedy_share == pytest.approx(share)
+    assert agent.metrics()["greedy_share"].item() == pytest.approx(share)
+    fixed = greedy_agent(adaptive_greedy_share=False)
+    fixed.value_stds[:] = agent.value_stds
+    assert fixed.greedy_share == 0.25
+
+
+def test_a_larger_least_share_stays_the_least():
+    agent = greedy_agent(greedy_share=0.97)
+    agent.value_stds[:] = torch.tensor([4.0, 2.0])
+    assert agent.greedy_share == pytest.approx(0.97)
+
+
+@pytest.mark.parametrize("options", [{"greedy_share": 0.0}, {"hunger": "random"}])
+def test_an_adaptive_share_of_no_greedy_policy_is_refused(options):
+    with pytest.raises(ValueError, match="`adaptive_greedy_share` must be left out or False"):
+        CuriousSAC.default(3, 2, adaptive_greedy_share=True, **options)
+
+
 def test_a_learned_prior_is_the_marginal_of_the_curious_policy_and_not_of_the_greedy_one():
     agent = greedy_agent(prior="learned", learning_rate=1e-2)
     greedy, curious = torch.zeros(64, 2), torch.full((64, 2), 1.5)

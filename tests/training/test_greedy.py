@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import torch
 
+from deep_curiosity.training.collector import Step
 from deep_curiosity.training.config import Config
 from deep_curiosity.training.greedy import GreedyStretches
 from deep_curiosity.training.learner import Learner
@@ -46,6 +47,20 @@ def test_a_resumed_run_goes_on_with_the_same_stretches():
     expected = walk(stretches, 50, 0.5)
     torch.set_rng_state(random_state)
     assert (walk(other, 50, 0.5) == expected).all()
+
+
+@pytest.mark.parametrize(("curiosity_std", "share"), [(4.0, 0.25), (1.0, 0.75)])
+def test_as_many_steps_of_a_run_are_greedy_as_the_agent_asks(curiosity_std, share):
+    torch.manual_seed(0)
+    learner = Learner(Config.of(hidden_dim=8, num_envs=20, replay_capacity=256), 3, 2)
+    learner.agent.value_stds[:] = torch.tensor([4.0, curiosity_std])
+    zeros, no = np.zeros((20, 3)), np.zeros(20, dtype=bool)
+    step = Step(zeros, np.zeros((20, 2)), np.zeros(20), zeros, no, no)
+    seen = []
+    for _ in range(2_000):
+        learner.store(step)
+        seen.append(learner.greedy_stretches.is_greedy.mean())
+    assert np.mean(seen[200:]) == pytest.approx(share, abs=0.04)
 
 
 @pytest.mark.parametrize(("num_envs", "numpy_policy"), [(1, True), (1, False), (2, True)])
