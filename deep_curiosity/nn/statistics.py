@@ -23,6 +23,7 @@ SCALE_STEPS = 12  # of the fixed-point iteration for that scale, from above
 MORE_SCALE_STEPS, FALLING = 24, 0.9  # where it still falls, as with an absurd row among few
 WHITENED_BOUND = 10.0  # a feature that starts to move late would drown all others
 STATISTICS_MEMORY = 1_280.0  # rows; a bonus drifts as its model learns, so old ones fade
+STATISTICS_REACH = 10.0  # scales within which a row counts as it is: one alone must not rule them
 INPUT_MEMORY = 51_200.0  # rows after which old ones fade; replay widens as it fills
 INPUT_SIZES = 0.1, 10.0  # root mean squares that a network is shown as they are
 BONUS_BOUND = 5.0  # standard deviations at which a bonus is cut, so that no tail rules
@@ -322,7 +323,7 @@ class Standardization(nn.Module):
         self.weight = weight
         self.center = center
         self.scale = scale
-        self.moments = RunningMoments(1, memory=STATISTICS_MEMORY)
+        self.moments = RunningMoments(1, memory=STATISTICS_MEMORY, reach=STATISTICS_REACH)
 
     def forward(self, value: Float[Tensor, " batch"]) -> Float[Tensor, " batch"]:
         """Standardised value; changes no statistics."""

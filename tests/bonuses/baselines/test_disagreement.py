@@ -36,7 +36,7 @@ def test_members_come_to_agree_where_they_are_trained_and_not_elsewhere():
         optimizer.step()
     near = bonus(batch.observation, batch.action).mean()
     far = bonus(batch.observation + 8, batch.action).mean()
-    assert far > 10 * near
+    assert far > near + math.log(10)  # logs of scores
 
 
 def test_one_member_cannot_disagree():

@@ -24,13 +24,22 @@ def test_in_the_state_it_is_the_log_of_half_the_squared_error_of_the_forward_mod
     assert bonus(state, torch.zeros(1, 2), state).item() == pytest.approx(math.log(4.5))
 
 
-def test_the_forward_model_does_not_shape_its_own_target():
+def test_the_loss_is_the_papers_in_which_the_forward_model_does_not_shape_its_own_target():
+    """Equation (7) without the policy's part, beta 0.2; its target is held."""
     bonus = ICMBonus(3, 2, feature_dim=4, hidden_dims=(8,))
     batch = transition()
-    before = bonus._encode(batch.observation).detach()
+    before = bonus._encode(batch.observation)
     after = bonus._encode(batch.next_observation)
-    bonus._error(before, batch.action, after.detach()).mean().backward()
-    assert all(parameter.grad is None for parameter in bonus.encoder.parameters())
+    held = after.detach()
+    predicted = bonus.forward_model(torch.cat([before, batch.action], dim=-1))[0]
+    forward = 0.5 * (predicted - held).square().sum(-1).mean()
+    guess = bonus.inverse(torch.cat([before, after], dim=-1))[0]
+    inverse = (guess - batch.action).square().sum(-1).mean()
+    parameters = list(bonus.parameters())
+    expected = torch.autograd.grad(0.2 * forward + 0.8 * inverse, parameters)
+    loss = bonus.network_loss(batch)
+    for own, other in zip(torch.autograd.grad(loss, parameters), expected, strict=True):
+        torch.testing.assert_close(own, other)
 
 
 def test_features_come_to_reveal_the_action():

@@ -16,9 +16,12 @@ def test_information_gain_is_the_log_ratio_of_variances():
     assert value.item() == pytest.approx(2 * math.log(1 + 1 / 0.25) / 4)
 
 
-def test_the_gain_of_the_reward_counts_as_well():
+def test_the_reward_is_an_outcome_as_well():
     bonus = InformationGainBonus(3, 2, **SMALL)
     assert bonus.ensemble.network.layers[-1].bias.shape[-1] == 4
+    batch = transition()
+    other = batch._replace(reward=batch.reward + torch.randn(len(batch.reward)))
+    assert bonus.network_loss(batch) != bonus.network_loss(other)
 
 
 @pytest.mark.parametrize(("past", "rises"), [(5.0, True), (-5.0, False)])

@@ -32,7 +32,8 @@ def test_the_random_network_is_never_learned():
 
 
 def test_what_was_visited_earns_less_than_what_was_not():
-    bonus = RNDBonus(3, 2, center=False, random_features=8, hidden_dims=(32,))
+    raw = {"weight": 1.0, "center": False, "scale": False}
+    bonus = RNDBonus(3, 2, random_features=8, hidden_dims=(32,), **raw)
     visited, new = torch.randn(256, 3), torch.randn(256, 3) + 3
     bonus.observe(transition(visited))
     optimizer = torch.optim.Adam(bonus.predictor.parameters(), lr=3e-3)
@@ -41,4 +42,16 @@ def test_what_was_visited_earns_less_than_what_was_not():
         bonus.loss(transition(visited)).backward()
         optimizer.step()
     action = torch.zeros(256, 2)
-    assert bonus(new, action, new).mean() > 5 * bonus(visited, action, visited).mean()
+    gain = bonus(new, action, new).mean() - bonus(visited, action, visited).mean()
+    assert gain > math.log(5)  # of logs of scores
+
+
+def test_an_entry_counts_for_at_most_five_standard_deviations():
+    bonus = RNDBonus(3, 2, random_features=8, hidden_dims=(32,))
+    bonus.observe(transition(torch.randn(256, 3)))
+    moments, action = bonus.observation_moments, torch.zeros(1, 2)
+    near, far, farther = (
+        (moments.center + number * moments.scale).expand(1, 3) for number in (4, 6, 9)
+    )
+    assert bonus(far, action, far).equal(bonus(farther, action, farther))
+    assert not bonus(near, action, near).equal(bonus(far, action, far))
