@@ -63,7 +63,8 @@ def bootstrap(
 def probability_of_improvement(first: Groups, second: Groups, *, seed: int = 0) -> Estimate:
     """Chance that a run of the first agent beats one of the second, on a task drawn at random.
 
-    Ties count half. The two are paired by seed, so seeds are resampled for both at once.
+    Every run of the one is compared with every run of the other, equal values count half, and for
+    the interval the runs of each are resampled by themselves within each task, as in section 4.3.
 
     Raises:
         ValueError: If the agents do not have the same tasks and seeds.
@@ -77,13 +78,16 @@ def probability_of_improvement(first: Groups, second: Groups, *, seed: int = 0) 
     random = np.random.default_rng(seed)
     values, resampled = [], []
     for one, other in zip(first, second, strict=True):
-        wins = np.sign(np.subtract.outer(one, other)) / 2 + 0.5  # seeds seeds
-        drawn = random.integers(len(wins), size=(NUM_RESAMPLES, len(wins)))
-        counts = np.zeros(drawn.shape)  # how often each seed was drawn: resamples seeds
-        np.add.at(counts, (np.arange(NUM_RESAMPLES)[:, None], drawn), 1)
-        resampled.append(((counts @ wins) * counts).sum(1) / wins.size)
+        wins = np.sign(np.subtract.outer(one, other)) / 2 + 0.5  # runs runs
+        ours, theirs = (_resampled_counts(random, len(wins)) for _ in range(2))
+        resampled.append(((ours @ wins) * theirs).sum(1) / wins.size)
         values.append(wins.mean())
     return Estimate(float(np.mean(values)), *_interval(np.mean(resampled, axis=0)))
+
+
+def _resampled_counts(random: np.random.Generator, num_runs: int) -> np.ndarray:
+    """How often each run was drawn, in every resample: resamples runs."""
+    return random.multinomial(num_runs, [1 / num_runs] * num_runs, size=NUM_RESAMPLES)
 
 
 def rank_correlation(first: Sequence[float | int], second: Sequence[float | int]) -> float:

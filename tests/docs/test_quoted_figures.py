@@ -479,6 +479,54 @@ def test_what_is_said_of_harm_by_other_units_is_what_was_measured():
     assert said.format(*areas) in text_of("docs/development/README.md")
 
 
+def test_what_is_said_of_the_greedy_share_is_what_was_measured():
+    page = text_of("docs/development/README.md")
+    table = "docs/development/greedy-share.csv"
+    steady = "steady greedy share"
+    solved = [sum(solved_runs(table, agent).values()) for agent in ("default", steady)]
+    assert solved == [16, 16] and "16 runs of 20 by either" in page
+    own = grouped(rows_of(table), "task", "agent")
+    intervals = [
+        bootstrap([np.subtract(*([row["area"] for row in own[task, agent]] for agent in pair))])
+        for pair in [("default", steady)]
+        for task in dict.fromkeys(task for task, _ in own)
+    ]
+    said = (
+        "[{:.2f}, {:.2f}] on the mountain car, [{:.2f}, {:.1f}] on the pendulum, [{:.2f}, {:.0f}] "
+        "in the maze, [{:.0f}, {:.0f}] in the one that ends and [{:.1f}, {:.0f}] on Cartpole"
+    )
+    assert said.format(*(end for found in intervals for end in found[1:])) in page
+
+
+def test_what_is_said_of_greed_where_reward_is_dense_is_what_was_measured():
+    page = text_of("docs/development/README.md")
+    tasks = "HalfCheetah-v5", "Hopper-v5"
+    mean = {
+        key: np.mean([row["area"] for row in own])
+        for key, own in grouped(
+            rows_of("docs/development/harm-greedy-share.csv"), "task", "agent"
+        ).items()
+    }
+    steady = [
+        np.mean(
+            [
+                row["area"]
+                for row in rows_of(f"docs/development/harm-{name}.csv")
+                if row["task"] == task and row["seed"] < 102
+            ]
+        )
+        for task, name in zip(tasks, ("default", "units"), strict=True)
+    ]
+    areas = [mean[task, "curiosity"] for task in tasks]
+    times = [mean[task, "curiosity"] / mean[task, "plain SAC"] for task in tasks]
+    said = (
+        "its area is {:.0f} on HalfCheetah-v5 and {:.0f} on Hopper-v5, that of the steady share "
+    )
+    assert (said + "share {:.0f} and {:.0f} on").format(*areas, *steady) in page
+    said = "it is {:.2f} times its area on HalfCheetah-v5 and {:.2f} times on Hopper-v5"
+    assert said.format(*times) in page
+
+
 def solved_runs(path, agent="default"):
     """Of each task of a table: how many runs of an agent end solved."""
     return {

@@ -34,6 +34,8 @@ TABLES = {  # whose names are not those of their studies
     "units-eight": "units",
     "units-deviations": "units",
     "units-unshifted": "units",
+    "greedy-share": "development",
+    "harm-greedy-share": "harm",
 }
 
 

@@ -64,6 +64,34 @@ def test_probability_of_improvement_is_the_complement_of_its_reverse():
     assert there.low <= there.value <= there.high
 
 
+def test_probability_of_improvement_knows_no_order_of_the_runs():
+    expected = (0.25, 0.0, 1.0)
+    for first in ([0.0, 2.0], [2.0, 0.0]):
+        assert probability_of_improvement([first], [[1.0, 3.0]]) == expected
+
+
+def test_its_interval_is_that_of_runs_resampled_one_by_one():
+    random = np.random.default_rng(1)
+    first = [random.normal(size=size).tolist() for size in (4, 7)]
+    second = [[value - 0.3 for value in group] for group in first]
+
+    def resampled(group):
+        return random.choice(group, size=len(group))
+
+    drawn = [
+        np.mean(
+            [
+                np.mean(np.sign(np.subtract.outer(resampled(one), resampled(other))) / 2 + 0.5)
+                for one, other in zip(first, second, strict=True)
+            ]
+        )
+        for _ in range(4_000)
+    ]
+    found = probability_of_improvement(first, second)
+    assert found[1:] == pytest.approx(np.quantile(drawn, [0.025, 0.975]), abs=0.03)
+    assert found.low < found.value < found.high
+
+
 def test_agents_of_other_seeds_are_refused():
     with pytest.raises(ValueError, match="same tasks and seeds, got \\[2\\] and \\[1\\] runs"):
         probability_of_improvement([[1.0, 2.0]], [[1.0]])
