@@ -34,7 +34,7 @@ lint: setup  ## ruff and mypy
 	$(BIN)/mypy
 	$(BIN)/mypy scripts/*.py
 
-figures: setup  ## run every study and write docs/study and docs/sweeps, some hours on 2 cores
+figures: setup  ## run every study and write docs/study and docs/sweeps, about a day on 2 cores
 	for study in goals sparse control mountain_car bonuses subsampling \
 			stable_baselines3 torchrl clever_random reliable \
 			noise parts battery hunger alpha frame_stack default hopper ends horizon prior \

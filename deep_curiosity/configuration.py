@@ -229,6 +229,7 @@ def _as_float(value: int) -> float:
 
 
 def _as(option: Any, value: Any) -> Any:
+    value = value.expanduser() if isinstance(value, Path) else value
     return value if _is_of(option, value) else _convert(option, value)
 
 

@@ -110,10 +110,10 @@ def test_several_environments_are_made_as_written():
 
 
 def test_the_five_lines_run_as_written():
-    code = re.search(r"```python\n(from deep_curiosity import CuriosityBonus.*?)```", README, re.S)
+    first = "import torch\nfrom deep_curiosity import CuriosityBonus"
+    code = re.search(rf"```python\n({first}.*?)```", README, re.S)
     batch = 32
     names = {
-        "torch": torch,
         "observation_dim": 3,
         "action_dim": 2,
         "observation": torch.randn(batch, 3),

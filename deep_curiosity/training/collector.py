@@ -329,11 +329,14 @@ class Collector:
                 ],
                 options={"reset_mask": mask},
             )
-        self.present_info = self.present_info | {
+        given = {
             name: _replaced(mask, np.asarray(value), self.present_info.get(name))
             for name, value in info.items()
             if np.shape(value)[:1] == mask.shape  # one for each environment
         }
+        others = {} if mask.all() else self.present_info  # of which there are none
+        left = {name: _emptied(mask, others[name]) for name in others.keys() - given.keys()}
+        self.present_info = left | given
         self._length[mask], self._return[mask], self._success[mask] = 0, 0.0, math.nan
         self.actions = self.actions[len(self.actions) - self._length.max() :]
         return start
@@ -348,6 +351,15 @@ def _replaced(mask: np.ndarray, value: np.ndarray, before: Any) -> np.ndarray:
     if np.shape(before) != value.shape:
         return value
     return np.where(mask.reshape(-1, *[1] * (value.ndim - 1)), value, before)
+
+
+def _emptied(mask: np.ndarray, value: Any) -> Any:
+    """What infos say of each environment, nothing where the mask is, as vector environments do."""
+    if np.shape(value)[:1] != mask.shape:
+        return value
+    emptied = np.array(value)
+    emptied[mask] = None if emptied.dtype == object else 0
+    return emptied
 
 
 def _entry_of(info: Info, name: str) -> np.ndarray:

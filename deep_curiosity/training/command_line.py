@@ -259,8 +259,12 @@ def help_of(each: Setting) -> str:
     return _comments(each.owner)[each.field]
 
 
-def read_settings(pairs: Sequence[str]) -> dict[str, Any]:
+def read_settings(pairs: Sequence[str], argument: str = "set") -> dict[str, Any]:
     """Settings written as `name=value`, each value as Python or as text.
+
+    Args:
+        pairs: As they are written.
+        argument: That was given them, for errors.
 
     Raises:
         ValueError: If one is not written so, or named twice.
@@ -269,9 +273,9 @@ def read_settings(pairs: Sequence[str]) -> dict[str, Any]:
     for pair in pairs:
         name, separator, text = pair.partition("=")
         if not (separator and name):
-            raise ValueError(f"`set` must be written as name=value, got {pair!r}.")
+            raise ValueError(f"`{argument}` must be written as name=value, got {pair!r}.")
         if name in values:
-            raise ValueError(f"`set` must name a setting once, got {name!r} twice.")
+            raise ValueError(f"`{argument}` must name a setting once, got {name!r} twice.")
         try:
             values[name] = ast.literal_eval(text)
         except (MemoryError, RecursionError, SyntaxError, ValueError):  # no Python, or too deep

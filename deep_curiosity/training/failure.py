@@ -13,13 +13,16 @@ from gymnasium.vector import SyncVectorEnv, VectorEnv
 
 from deep_curiosity.training.config import Config
 
+RAISED: tuple[type[BaseException], ...] = (Exception, SystemExit)
+"""What code of others may raise: one that exits would take along what was not saved yet."""
+
 
 class EnvironmentFailedError(RuntimeError):
     """An environment has raised an error while it was stepped or reset."""
 
 
 def environment_failure(
-    config: Config, error: Exception, activity: str, *, step: int, kept: str
+    config: Config, error: BaseException, activity: str, *, step: int, kept: str
 ) -> EnvironmentFailedError:
     """An error that says which environment failed where, and how to go on.
 
@@ -39,7 +42,7 @@ def environment_failure(
     )
 
 
-def failed_index(error: Exception) -> int | None:
+def failed_index(error: BaseException) -> int | None:
     """Which of several environments that are stepped in turn has raised, from 0, where known."""
     for frame, _ in traceback.walk_tb(error.__traceback__):
         if isinstance(frame.f_locals.get("self"), SyncVectorEnv):
@@ -48,12 +51,20 @@ def failed_index(error: Exception) -> int | None:
     return None
 
 
-def note(error: Exception, text: str) -> None:
+def note(error: BaseException, text: str) -> None:
     """Have an error say more; before Python 3.11, where none takes a note, a warning says it."""
     if hasattr(error, "add_note"):
         error.add_note(text)
     else:
         warnings.warn(text, stacklevel=2)
+
+
+def close_environments(environment: VectorEnv) -> None:
+    """Close environments, whose processes may have heard the signal that ended the run."""
+    try:
+        environment.close()
+    except (ConnectionError, EOFError):  # a pipe that is broken is such a connection
+        close_at_once(environment)
 
 
 def close_at_once(environment: VectorEnv) -> None:

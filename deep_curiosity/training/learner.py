@@ -102,8 +102,7 @@ class Learner:
             observation: `(num_envs, observation_dim)`.
             info: Infos that came with it.
         """
-        if self._compile_from is not None and step >= self._compile_from:
-            self._compile()
+        self.compile_when_due(step)
         hunger = self.hunger_controller.hunger(step, observation, info)
         values = hunger.tolist()
         if values != self._last_hunger:
@@ -116,6 +115,11 @@ class Learner:
         ends = self.config.agent.curiosity.ends
         if ends is not None and step >= ends:
             self.agent.curiosity_coefficient = 0.0
+
+    def compile_when_due(self, step: int) -> None:
+        """Make a graph of the updates from a number of steps on, where that is to be done."""
+        if self._compile_from is not None and step >= self._compile_from:
+            self._compile()
 
     def act(self, observation: np.ndarray, *, explore_uniformly: bool = False) -> np.ndarray:
         """Sample actions in [-1, 1] from the policy, or from the whole action box.

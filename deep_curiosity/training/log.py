@@ -144,12 +144,12 @@ class Log:
 
     Args:
         folder: Of the run.
-        start: Step the run continues from.
+        resumed_at: Step the run continues from; what TensorBoard has behind it is dropped.
         progress: What progress.csv held at that step; rows written after it are dropped, and
             a file that does not begin with it is mended, with a warning.
     """
 
-    def __init__(self, folder: Path, *, start: int = 0, progress: str = "") -> None:
+    def __init__(self, folder: Path, *, resumed_at: int | None = None, progress: str = "") -> None:
         self._path = folder / PROGRESS
         self.progress = progress
         """Content of progress.csv."""
@@ -157,7 +157,8 @@ class Log:
         self._restore()
         from torch.utils.tensorboard import SummaryWriter
 
-        self._writer = SummaryWriter(str(folder), purge_step=start + 1 if start else None)
+        purge_step = None if resumed_at is None else resumed_at + 1
+        self._writer = SummaryWriter(str(folder), purge_step=purge_step)
 
     def scalars(self, step: int, values: Mapping[str, float]) -> None:
         """Write to TensorBoard."""

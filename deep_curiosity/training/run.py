@@ -51,7 +51,13 @@ from deep_curiosity.training.environments import (
     observation_dim,
     task_spaces,
 )
-from deep_curiosity.training.failure import close_at_once, environment_failure, note
+from deep_curiosity.training.failure import (
+    RAISED,
+    close_at_once,
+    close_environments,
+    environment_failure,
+    note,
+)
 from deep_curiosity.training.hindsight import GoalFunctionError, make_hindsight
 from deep_curiosity.training.hunger import HungerFunction
 from deep_curiosity.training.interfaces import Info
@@ -72,7 +78,7 @@ from deep_curiosity.training.log import (
 )
 from deep_curiosity.training.run_log import RunLog, mean_return, success_rate
 from deep_curiosity.training.source import source_commit
-from deep_curiosity.training.spaces import SPACES
+from deep_curiosity.training.spaces import SPACES, check_same_task
 from deep_curiosity.training.warm_start import begin_from
 
 EVALUATION_SEED = 1_000_003  # apart from the seeds of training, the same in every run
@@ -100,7 +106,7 @@ class Run:
     """Whether the newest step is still to be evaluated and logged."""
     saved_step: int | None = None
     """Of the newest checkpoint."""
-    error_of_caller: Exception | None = None
+    error_of_caller: BaseException | None = None
     """What a function of the caller's has raised, which is none of the environment's."""
 
     @property
@@ -197,7 +203,7 @@ class Run:
 
     @contextmanager
     def _saved_on_failure(
-        self, activity: str, errors: type[Exception] = Exception
+        self, activity: str, errors: type[Exception] | tuple[type[BaseException], ...] = RAISED
     ) -> Iterator[None]:
         """Save before an error of the environment is raised again, with what there is to do."""
         try:
@@ -220,7 +226,7 @@ class Run:
         """Save before an error of the caller's own function goes on, with a note that says so."""
         try:
             yield
-        except Exception as error:
+        except RAISED as error:
             self.error_of_caller, out = error, self.config.run.out
             note(error, f"{self._save_what_is_left()}; continue with --resume {out}.")
             raise
@@ -325,6 +331,7 @@ class Run:
         action = state.get("action")
         self.action = None if action is None else action.numpy()
         self.unrecorded = state.get("unrecorded", False)
+        self.learner.compile_when_due(self.run_log.step)  # else before the next action alone
         agent, bonus = self.learner.agent, self.learner.bonus
         self._refuse_broken(broken_weight(agent=agent, bonus=bonus))
         self.saved_step = self.run_log.step
@@ -420,7 +427,7 @@ def open_run(
         hindsight = make_hindsight(config.run.hindsight, evaluation_environment)
         learner = Learner(config, *sizes, hunger, hindsight)
         collector = make_collector(config, make_env)
-        stack.callback(collector.environment.close)
+        stack.callback(close_environments, collector.environment)
         begins = not resume or is_unbegun(config.run.out)
         if begins:
             begin_from(config, learner, collector)
@@ -434,7 +441,9 @@ def open_run(
             _print_changes(config, own)
         else:
             open_folder(config)
-        write_json(config.run.out / SPACES, task_spaces(evaluation_environment).to_json())
+        spaces = task_spaces(evaluation_environment)
+        if state:
+            check_same_task(spaces, config.run.out)
         log = _open_log(config.run.out, state)
         stack.callback(log.close)
         started = time.perf_counter() - state.get("run_log", {}).get("wall_seconds", 0.0)
@@ -445,7 +454,9 @@ def open_run(
             run.save()  # so that a run that fails at once can still be continued
         else:
             run.restore(state, new_episode=new_episode)
-        if resume:  # only now: what cannot be continued keeps its settings
+        # only now: what cannot be continued keeps its spaces and settings
+        write_json(config.run.out / SPACES, spaces.to_json())
+        if resume:
             write_json(config.run.out / CONFIG, config.to_json())
         yield run
 
@@ -480,11 +491,12 @@ def _hold_folder(folder: Path, *, resume: bool) -> Lease:
 
 def _open_log(folder: Path, state: dict[str, Any]) -> Log:
     """Log of a run that begins, or goes on from a checkpoint."""
-    start = state["run_log"]["step"] if state else 0
-    progress = state.get("progress")
+    if not state:
+        return Log(folder)
+    step, progress = state["run_log"]["step"], state.get("progress")
     if progress is None:  # a checkpoint of an earlier version
-        progress = progress_up_to(folder, start)
-    return Log(folder, start=start, progress=progress)
+        progress = progress_up_to(folder, step)
+    return Log(folder, resumed_at=step, progress=progress)
 
 
 def make_collector(config: Config, make_env: MakeEnv | None = None) -> Collector:

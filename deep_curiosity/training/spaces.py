@@ -120,6 +120,24 @@ def read_spaces(folder: Path) -> TaskSpaces | None:
         raise ValueError(f"`{SPACES}` must hold spaces in JSON, got {path}: {error}.") from error
 
 
+def check_same_task(spaces: TaskSpaces, folder: Path) -> None:
+    """Refuse a task whose vectors are not those of the run in a folder, where these are known.
+
+    Raises:
+        ValueError: If observations have another length, or actions another box or dtype.
+    """
+    own = read_spaces(folder)
+    if own is None:
+        return
+    for name in ("observation_dim", "action_low", "action_high", "action_dtype"):
+        had, has = getattr(own, name), getattr(spaces, name)
+        if had != has:
+            raise ValueError(
+                f"`env_id` must name the task of the run in {folder}, whose {name} is {had}, "
+                f"got one whose {name} is {has}."
+            )
+
+
 def _vector(observation: Any, entry: Entry) -> NDArray[np.float32]:
     """An entry of a dictionary, flattened behind the batch."""
     value, name = observation, ".".join(map(str, entry.path))

@@ -136,7 +136,8 @@ class ActionRepeat(gymnasium.Wrapper):
         """Step the task as often as the action is held."""
         total, succeeded = 0.0, False
         for _ in range(self.num_steps):
-            observation, reward, terminated, truncated, info = self.env.step(action)
+            held = np.array(action)  # a task may change it in place
+            observation, reward, terminated, truncated, info = self.env.step(held)
             total += float(reward)
             succeeded |= info.get("is_success", False)
             sound = np.isfinite(total) and np.isfinite(observation).all()

@@ -344,6 +344,7 @@ def test_what_is_said_of_the_noisy_room_is_what_was_measured():
     )
     assert said.format(*figures[:3]) in page
     assert "these are {}, {} and {}.".format(*figures[3:]) in page
+    assert f"[{figures[0]} times](sweeps/README.md" in (ROOT / "docs/faq.md").read_text()
 
 
 def test_what_is_said_of_all_bonuses_is_what_their_runs_came_to():

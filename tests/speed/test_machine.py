@@ -166,6 +166,9 @@ def test_the_step_alone_says_when_a_graph_is_made(tiny, monkeypatch, switch, at_
     resumed = Learner(tiny.override(compile=switch, total_steps=9_000), 3, 1)
     resumed.before_step(700, np.zeros((1, 3)), {})
     assert len(made) == 2
+    within = Learner(tiny.override(compile=switch, total_steps=9_000), 3, 1)
+    within.compile_when_due(700)  # cut off within a step, whose action was chosen already
+    assert len(made) == 3
     assert {how["fall_back"] for how in made} == {switch == "auto"}
 
 

@@ -231,6 +231,38 @@ def test_an_info_of_several_numbers_belongs_to_the_present_observation(num_envs)
     assert starts > num_envs
 
 
+@pytest.mark.parametrize("num_envs", [1, 3])
+def test_what_an_episode_told_is_not_told_of_the_next(num_envs):
+    """A reset that says nothing leaves nothing of the episode before."""
+
+    class Telling(Counter):
+        def __init__(self, length):
+            super().__init__(truncate_at=length)
+
+        def step(self, action):
+            observation, *rest, _ = super().step(action)
+            return observation, *rest, {"charge": 0.5, "name": "full"}
+
+    lengths = [4, 5, 7][:num_envs]
+    environments = SyncVectorEnv(
+        [lambda length=length: Telling(length) for length in lengths],
+        autoreset_mode=AutoresetMode.DISABLED,
+    )
+    collector = Collector(environments if num_envs > 1 else Telling(4), seed=0)
+    ended = 0
+    for _ in range(15):
+        collector.step(np.zeros((num_envs, 1), np.float32))
+        began, told = collector._length == 0, collector.present_info
+        ended += began.sum()
+        if began.all():
+            assert "charge" not in told
+        elif num_envs > 1:
+            assert told["_charge"].tolist() == (~began).tolist()
+            assert told["charge"].tolist() == np.where(began, 0.0, 0.5).tolist()
+            assert [name is None for name in told["name"]] == began.tolist()
+    assert ended >= 3
+
+
 class Fragile(Counter):
     """Counts as the others do, and shows what is not finite once in a while."""
 

@@ -132,7 +132,7 @@ def test_a_continued_log_drops_what_came_after_its_start(tmp_path):
     progress = log.progress
     log.row(30, {"a": 30.0})
     log.close()
-    log = Log(tmp_path, start=20, progress=progress)
+    log = Log(tmp_path, resumed_at=20, progress=progress)
     log.row(25, {"a": -1.0})
     log.close()
     assert [row["step"] for row in read_progress(tmp_path)] == ["10", "20", "25"]
@@ -163,17 +163,17 @@ def test_damaged_progress_is_mended_from_the_checkpoint(tmp_path, damage):
     else:
         path.write_bytes(DAMAGES[damage](whole))
     if damage == "a row twice":  # as a row that was written after the checkpoint
-        Log(tmp_path, start=20, progress=log.progress).close()
+        Log(tmp_path, resumed_at=20, progress=log.progress).close()
     else:
         with pytest.warns(UserWarning, match=r"progress\.csv was (damaged|missing); it is mended"):
-            Log(tmp_path, start=20, progress=log.progress).close()
+            Log(tmp_path, resumed_at=20, progress=log.progress).close()
     assert path.read_bytes() == whole
 
 
 def test_damaged_progress_is_kept_beside_the_mended_one(tmp_path):
     (tmp_path / PROGRESS).write_text("my own notes")
     with pytest.warns(UserWarning, match=r"what was there is in .*progress\.csv\.damaged"):
-        Log(tmp_path, start=1, progress="step,a\r\n1,2.0\r\n").close()
+        Log(tmp_path, resumed_at=1, progress="step,a\r\n1,2.0\r\n").close()
     assert (tmp_path / f"{PROGRESS}.damaged").read_text() == "my own notes"
 
 
@@ -186,7 +186,7 @@ def test_progress_is_never_emptied_to_be_written(tmp_path, monkeypatch):
     whole = (tmp_path / PROGRESS).read_bytes()
     monkeypatch.setattr("deep_curiosity.training.log.os.fsync", lambda number: 1 / 0)
     with pytest.raises(ZeroDivisionError):  # as if killed while what is new is written
-        Log(tmp_path, start=10, progress=progress)
+        Log(tmp_path, resumed_at=10, progress=progress)
     assert (tmp_path / PROGRESS).read_bytes() == whole
 
 

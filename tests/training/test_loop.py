@@ -17,13 +17,17 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from deep_curiosity.experiments.runs import read_evaluations
 from deep_curiosity.training import continue_run, environments, loop, train
+from deep_curiosity.training import run as run_module
 from deep_curiosity.training.checkpoint import NEWEST, load_checkpoint, save_checkpoint
 from deep_curiosity.training.collector import Collector
+from deep_curiosity.training.config import EnvironmentConfig
 from deep_curiosity.training.divergence import DivergedError
 from deep_curiosity.training.failure import EnvironmentFailedError
 from deep_curiosity.training.learner import Learner
 from deep_curiosity.training.lease import LeaseError
 from deep_curiosity.training.log import open_folder, read_config
+from deep_curiosity.training.run import Run
+from deep_curiosity.training.spaces import SPACES
 
 SUMMARY_KEYS = {
     "env_id",
@@ -366,6 +370,99 @@ def test_an_environment_that_raises_leaves_all_before_the_step(tiny, monkeypatch
     assert [int(row["step"]) for row in rows(tiny.run.out)] == [40]
     train(tiny, resume=True, show_progress=False)
     assert_same_run(whole.run.out, tiny.run.out)
+
+
+def test_a_task_that_exits_leaves_all_before_the_step(tiny, monkeypatch):
+    step = Collector.step
+
+    def leaving(self, action):
+        if self.seed == tiny.run.seed and len(self.actions) == 33:
+            sys.exit(3)
+        return step(self, action)
+
+    monkeypatch.setattr(Collector, "step", leaving)
+    with pytest.raises(EnvironmentFailedError, match=r"SystemExit: 3.*up to step 33 is saved"):
+        train(tiny, show_progress=False)
+    assert load_checkpoint(tiny.run.out)["run_log"]["step"] == 33
+
+
+def test_a_callback_that_exits_leaves_all_before_it(tiny):
+    with pytest.raises(SystemExit):
+        train(tiny, on_evaluation=lambda step, values: sys.exit(3), show_progress=False)
+    assert load_checkpoint(tiny.run.out)["run_log"]["step"] == 40
+
+
+@pytest.mark.parametrize("change", [{"low": -5.0}, {"entries": 4}])
+def test_another_task_is_refused_and_the_run_kept(tiny, change):
+    class Task(gymnasium.Env):
+        def __init__(self, low=-1.0, entries=3):
+            self.action_space = gymnasium.spaces.Box(low, 1.0, (1,))
+            self.observation_space = gymnasium.spaces.Box(-1.0, 1.0, (entries,))
+
+        def reset(self, *, seed=None, options=None):
+            return self.observation_space.low, {}
+
+        def step(self, action):
+            return self.observation_space.low, 0.0, False, False, {}
+
+    config = tiny.override(env_id=EnvironmentConfig().env_id, env_kwargs={})
+    train(config, make_env=Task, show_progress=False)
+    before = (tiny.run.out / SPACES).read_bytes()
+    with pytest.raises(ValueError, match=r"`env_id` must name the task of the run in .* whose"):
+        continue_run(
+            tiny.run.out, total_steps=80, make_env=lambda: Task(**change), show_progress=False
+        )
+    assert (tiny.run.out / SPACES).read_bytes() == before
+
+
+def test_a_run_resumed_from_its_first_checkpoint_is_in_tensorboard_once(tiny, monkeypatch):
+    config = tiny.override(checkpoint_interval=1_000)
+    with monkeypatch.context() as patch:  # killed: nothing is saved any more
+        patch.setattr(loop, "_plot", lambda folder: sys.exit(9))
+        patch.setattr("deep_curiosity.training.run.Run.save", _first_alone())
+        with pytest.raises(SystemExit):
+            train(config, show_progress=False)
+    assert load_checkpoint(tiny.run.out)["run_log"]["step"] == 0
+    (tiny.run.out / "summary.json").unlink()
+    train(config, resume=True, show_progress=False)
+    events = EventAccumulator(str(tiny.run.out))
+    events.Reload()
+    steps = [event.step for event in events.Scalars("agent/critic_loss")]
+    assert len(steps) == len(set(steps)) > 0
+
+
+def _first_alone():
+    """`Run.save` that saves once."""
+    save, saved = Run.save, []
+
+    def first(self):
+        if not saved:
+            save(self)
+        saved.append(self)
+
+    return first
+
+
+def test_processes_that_a_signal_ended_do_not_undo_the_run(tiny, monkeypatch):
+    """As by a signal to the whole group: they are gone before they are closed."""
+    config = tiny.override(num_envs=2, vectorization="async", total_steps=200)
+    environments = []
+    make = run_module.make_collector
+
+    def made(*arguments):
+        collector = make(*arguments)
+        environments.append(collector.environment)
+        return collector
+
+    def killing(step, values):
+        for process in environments[0].processes:
+            process.terminate()
+            process.join()
+        return True
+
+    monkeypatch.setattr(run_module, "make_collector", made)
+    summary = train(config, on_evaluation=killing, show_progress=False)
+    assert summary["total_steps"] < 200
 
 
 def test_a_nan_from_the_environment_stops_the_run_by_name(tiny, monkeypatch):

@@ -29,6 +29,26 @@ class Says(gymnasium.Env):
         return self.returned
 
 
+class Doubling(gymnasium.Env):
+    """Changes its action in place, and remembers what it was given."""
+
+    action_space = observation_space = spaces.Box(-1.0, 1.0, (1,))
+
+    def __init__(self):
+        self.given = []
+
+    def step(self, action):
+        self.given.append(action.item())
+        action *= 2
+        return np.zeros(1), 0.0, False, False, {}
+
+
+def test_an_action_is_held_though_a_task_changes_it():
+    task, action = Doubling(), np.full(1, 0.3)
+    ActionRepeat(task, 3).step(action)
+    assert task.given == [0.3] * 3 and action == 0.3
+
+
 def step(*, reward=0.0, terminated=False, truncated=False, info=None, **settings):
     returned = np.zeros(1, np.float32), reward, terminated, truncated, info or {}
     return PlainSteps(Says(returned), **settings).step(ACTION)
