@@ -51,7 +51,7 @@ class Args(EngineArgs):
 
 
 def main(arguments: Sequence[str]) -> int:
-    """Search, and say what is best."""
+    """Search, and say what is best; return whether no trial was complete."""
     args = read_arguments(Args, arguments, description=__doc__, prog="deep-curiosity tune")
     name, search = find_search(args.search)
     from deep_curiosity.experiments.tuner import tune  # needs what `find_search` asks for
@@ -70,7 +70,7 @@ def main(arguments: Sequence[str]) -> int:
         seed=args.seed,
     )
     print(what_is_in(out))
-    return 0
+    return int(not output_path(out, ".json").exists())
 
 
 def what_is_in(out: Path) -> str:

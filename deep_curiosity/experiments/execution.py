@@ -111,6 +111,6 @@ def _outcome_of(future: "Future[Outcome]") -> Outcome:
     """What a job says, or, where its worker cannot, that it was lost."""
     try:
         return future.result()
-    except Exception as error:  # whatever an engine raises: its worker or its node died
+    except (Exception, SystemExit) as error:  # of an engine: its worker or its node died
         first = str(error).partition("\n")[0]  # Ray adds a page of its own state
         return Outcome(error=f"{type(error).__name__}: {first}", stopped=True)

@@ -12,15 +12,26 @@ from matplotlib.figure import Figure
 
 from deep_curiosity.experiments.statistics import Estimate, Groups, bootstrap
 from deep_curiosity.experiments.study import Row, Study
-from deep_curiosity.experiments.tables import select
+from deep_curiosity.experiments.tables import is_missing, select
 
 PANELS_PER_ROW = 3
 LABEL_GAP = 0.06  # of the height of a panel, for a line of the labels beside the curves
 LABEL_WIDTH = 24  # letters, beyond which a label goes on in the next line
 
 
+def plain(text: str) -> str:
+    """A name as it is written, in which a figure would read dollars as mathematics."""
+    return text.replace("$", r"\$")
+
+
+def evaluated(curves: Sequence[Row]) -> list[Row]:
+    """The evaluations that have a return."""
+    return [row for row in curves if not is_missing(row["evaluation_return"])]
+
+
 def plot_curves(path: Path, study: Study, rows: Sequence[Row], curves: Sequence[Row]) -> None:
     """A panel for each task: interquartile mean of every agent, and its 95 % interval."""
+    curves = evaluated(curves)
     num_columns = min(len(study.tasks), PANELS_PER_ROW)
     num_rows = math.ceil(len(study.tasks) / num_columns)
     figure = Figure(figsize=(5.6 * num_columns, 3.9 * num_rows), layout="constrained")
@@ -37,7 +48,7 @@ def plot_curves(path: Path, study: Study, rows: Sequence[Row], curves: Sequence[
                 ends[f"{agent}{counted}", f"C{number}"] = estimates[-1].value
         if task.solved_return == task.solved_return:
             axes.axhline(task.solved_return, color="grey", linestyle=":", linewidth=1)
-        axes.set(title=task.name, xlabel="environment steps", ylabel="evaluation return")
+        axes.set(title=plain(task.name), xlabel="environment steps", ylabel="evaluation return")
         axes.locator_params(axis="x", nbins=5)
         label_beside(axes, ends)
     figure.savefig(path, dpi=120)
@@ -72,7 +83,7 @@ def label_beside(axes: Axes, ends: dict[tuple[str, str], float]) -> None:
     places = _spread([(end - low) / (high - low) for _, end in ordered], halves)
     for ((_, color), _), lines, place in zip(ordered, labels, places, strict=True):
         axes.annotate(
-            "\n".join(lines),
+            plain("\n".join(lines)),
             (1.02, place),
             xycoords="axes fraction",
             color=color,
@@ -107,8 +118,9 @@ def plot_columns(path: Path, study: Study, rows: Sequence[Row]) -> None:
     panels = figure.subplots(len(study.tasks), len(study.columns), squeeze=False)
     for line, task in zip(panels, study.tasks, strict=True):
         for axes, column in zip(line, study.columns, strict=True):
-            own = [row for row in rows if row["task"] == task.name and row[column] is not None]
-            axes.set_title(task.name, fontsize=10)
+            known = [row for row in rows if not is_missing(row[column])]
+            own = [row for row in known if row["task"] == task.name]
+            axes.set_title(plain(task.name), fontsize=10)
             _plot_column(axes, study, own, column)
     figure.savefig(path, dpi=120)
 
@@ -118,10 +130,10 @@ def _plot_column(axes: Axes, study: Study, own: Sequence[Row], column: str) -> N
     agents = [agent for agent in study.agents if select(own, column, **{study.label: agent})]
     values = [select(own, column, **{study.label: agent}) for agent in agents]
     estimates = [bootstrap([runs]) for runs in values]
-    title = column.replace("_", " ")
+    title = plain(column.replace("_", " "))
     if _is_named(study):
         _plot_intervals(axes, estimates, values)
-        axes.set_yticks(range(len(agents)), [str(agent) for agent in agents])
+        axes.set_yticks(range(len(agents)), [plain(str(agent)) for agent in agents])
         axes.invert_yaxis()
         axes.set_xlabel(title)
         return
@@ -131,7 +143,7 @@ def _plot_column(axes: Axes, study: Study, own: Sequence[Row], column: str) -> N
         value, low, high = np.array(estimates).T
         axes.plot(agents, value, "o-")
         axes.fill_between(agents, low, high, alpha=0.15, linewidth=0)
-    axes.set(xlabel=study.label, ylabel=title)
+    axes.set(xlabel=plain(study.label), ylabel=title)
 
 
 def _plot_intervals(axes: Axes, estimates: Sequence[Estimate], values: Groups) -> None:
@@ -147,7 +159,13 @@ def _is_named(study: Study) -> bool:
 
 
 def plot_search(path: Path, scores: Sequence[float], importances: Mapping[str, float]) -> None:
-    """Two panels of a search: score of each trial and the best so far; weight of each setting."""
+    """Two panels of a search: score of each trial and the best so far; weight of each setting.
+
+    Args:
+        path: Of the figure.
+        scores: Of the trials; NaN where one has none to be shown.
+        importances: Weight of each setting.
+    """
     figure = Figure(figsize=(9.6, 3.6), layout="constrained")
     history, weights = figure.subplots(1, 2)
     known = np.array(scores, dtype=float)

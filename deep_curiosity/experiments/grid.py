@@ -3,9 +3,10 @@
 import math
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +15,15 @@ from deep_curiosity.experiments.engines.local import ExecutorEngine, LocalEngine
 from deep_curiosity.experiments.execution import Execution
 from deep_curiosity.experiments.figures import plot_columns, plot_curves
 from deep_curiosity.experiments.progress import Progress
-from deep_curiosity.experiments.runs import find_finished, finished_key, run_own
+from deep_curiosity.experiments.runs import (
+    COLUMNS_OF,
+    find_finished,
+    finished_key,
+    is_finished,
+    run_own,
+)
 from deep_curiosity.experiments.statistics import probability_of_improvement
-from deep_curiosity.experiments.study import Cell, Result, Row, Study
+from deep_curiosity.experiments.study import CHOSEN, Cell, Result, Row, Study
 from deep_curiosity.experiments.tables import (
     check_outputs,
     is_missing,
@@ -33,9 +40,8 @@ from deep_curiosity.experiments.together import (
     summarize_together,
 )
 from deep_curiosity.training.interruption import terminated_like_interrupted
+from deep_curiosity.training.log import write_text
 
-CHOSEN = ("out", "seed")
-"""Settings that a study chooses for each of its runs."""
 WRITING_SECONDS = 10.0  # from one writing of the tables to the next, while results come
 MANY_TO_COMPARE = 12  # agents: a table of all pairs would be longer than anyone reads
 
@@ -50,12 +56,17 @@ def overridden(study: Study, values: dict[str, Any]) -> Study:
 
     Raises:
         TypeError: If there is no such setting, or a value has the wrong type.
-        ValueError: If a value is out of range, or the study itself chooses the setting.
+        ValueError: If a value is out of range, or the study or an agent chooses the setting.
     """
     for name, value in values.items():
-        if name in CHOSEN or all(name in settings for settings in study.agents.values()):
+        if name in CHOSEN:
             raise ValueError(
                 f"`{name}` must be left to the study, which gives each run its own, got {value!r}."
+            )
+        if own := [f"{label}" for label, settings in study.agents.items() if name in settings]:
+            raise ValueError(
+                f"`{name}` must be left to the study, where it is chosen by {', '.join(own)}, "
+                f"got {value!r}; leave these out by --agents."
             )
     tasks = [replace(task, config=task.config.override(**values)) for task in study.tasks]
     return replace(study, tasks=tasks)
@@ -86,7 +97,8 @@ def part_of(study: Study, tasks: Sequence[str], agents: Sequence[str]) -> Study:
 def cells_of(study: Study, runs: Path) -> list[Cell]:
     """All runs of a study, seed by seed, each with its folder below `runs`.
 
-    A run of the same settings that lies anywhere beside or below `runs` is used where it lies.
+    A finished run of the same settings that lies anywhere beside or below `runs` is used where it
+    lies, unless the folder of its own is finished too.
     """
     cells = [
         Cell(study, task, agent, seed, runs / task.name / f"{agent}" / f"seed{seed}")
@@ -98,7 +110,9 @@ def cells_of(study: Study, runs: Path) -> list[Cell]:
         return cells
     finished = find_finished(runs.parent)
     return [
-        replace(cell, folder=finished.get(finished_key(cell.config), cell.folder))
+        cell
+        if is_finished(cell.config)
+        else replace(cell, folder=finished.get(finished_key(cell.config), cell.folder))
         for cell in cells
     ]
 
@@ -132,11 +146,12 @@ def run_study(
 
     Raises:
         FileExistsError: If a file at `out` is none that a study has written.
-        ValueError: If a run that ends has no such column as the study names; it can be read when
-            the study is run again with other columns.
+        ValueError: If the study names a column that no run can have; or one that a run which ends
+            does not have, which can be read when the study is run again with other columns.
         KeyboardInterrupt: If it is stopped, once what came is written.
     """
     check_out(study, out)
+    check_measure(study)
     cells = cells_of(study, runs)
     if engine is None:
         engine = LocalEngine(workers) if executor is None else ExecutorEngine(executor)
@@ -187,7 +202,7 @@ class Records:
         """Note how a run ended.
 
         Raises:
-            ValueError: If a column of the study is not measured.
+            ValueError: If a column of the study is not measured, or none of numbers.
         """
         if not outcome.error:
             check_columns(self._study, outcome.result)
@@ -205,11 +220,17 @@ class Records:
             write_tables(self._study, *collect(self._cells, self._results), self._out)
 
     def write(self) -> None:
-        """Write everything."""
-        if self._results:
+        """Write everything, also where all runs failed; nothing where none has ended."""
+        if self._results or self._failures:
             rows, curves = collect(self._cells, self._results)
-            failures = [self._failures[number] for number in sorted(self._failures)]
-            report(self._study, rows, curves, failures, self._out)
+            report(self._study, rows, curves, self._notes(), self._out)
+
+    def _notes(self) -> list[str]:
+        """Markdown: how many runs there are of all, where some are to come; and which failed."""
+        count, wanted = len(self._results), len(self._cells)
+        is_whole = count + len(self._failures) == wanted
+        so_far = [] if is_whole else [f"{count} of {wanted} runs so far.", ""]
+        return so_far + [f"- failed: {self._failures[each]}" for each in sorted(self._failures)]
 
 
 def check_out(study: Study, out: Path) -> None:
@@ -223,17 +244,37 @@ def check_out(study: Study, out: Path) -> None:
 
 
 def check_columns(study: Study, result: Result) -> None:
-    """Refuse columns of a study that a run does not have.
+    """Refuse columns of a study that a run does not have, or that hold no numbers.
+
+    Raises:
+        ValueError: Naming the first of them.
+    """
+    for row in result.rows:
+        _check_measured(study, row)
+        if study.label in row:
+            raise ValueError(f"`label` must be no column of the rows, got {study.label!r}.")
+        for name in study.columns:
+            value = row.get(name)
+            if not (value is None or isinstance(value, Real)):
+                raise ValueError(f"`columns` must hold numbers, got {name!r} with {value!r}.")
+
+
+def check_measure(study: Study) -> None:
+    """Refuse columns that no run of the study can have, as far as that is known beforehand.
 
     Raises:
         ValueError: Naming the first of them, and those that there are.
     """
-    for row in result.rows:
-        known = [*SOLVED, *row]
-        if unknown := [name for name in study.columns if name not in known]:
-            raise ValueError(
-                f"`columns` must be measured, got {unknown[0]!r}; there are {', '.join(known)}."
-            )
+    if study.run is run_own and study.measure in COLUMNS_OF:
+        _check_measured(study, COLUMNS_OF[study.measure])
+
+
+def _check_measured(study: Study, measured: Iterable[str]) -> None:
+    known = [*SOLVED, *measured]
+    if unknown := [name for name in study.columns if name not in known]:
+        raise ValueError(
+            f"`columns` must be measured, got {unknown[0]!r}; there are {', '.join(known)}."
+        )
 
 
 def collect(cells: Sequence[Cell], results: dict[int, Result]) -> tuple[list[Row], list[Row]]:
@@ -265,28 +306,44 @@ def _solved(measured: Row, curve: Sequence[Row], needed: float) -> Row:
 
 
 def write_tables(study: Study, rows: list[Row], curves: list[Row], out: Path) -> None:
-    """Write table and curves."""
-    write_table(output_path(out, ".csv"), rows)
+    """Write table and curves; the first columns of the table, where it has no rows, say whose."""
+    write_table(output_path(out, ".csv"), rows, () if rows else ("task", study.label, "seed"))
     if study.curves:
         write_table(output_path(out, "_curves.csv"), curves)
 
 
 def report(
-    study: Study, rows: list[Row], curves: list[Row], failures: Sequence[str], out: Path
+    study: Study, rows: list[Row], curves: list[Row], notes: Sequence[str], out: Path
 ) -> None:
-    """Write table, curves, summary and figure of what was measured."""
+    """Write table, curves and summary of what was measured, and last the figures.
+
+    Args:
+        study: What was run.
+        rows: Of the table.
+        curves: Rows of the curves.
+        notes: Lines of Markdown that end the summary.
+        out: Path of all files, without ending.
+    """
     write_tables(study, rows, curves, out)
-    if study.curves:
+    summary = "\n".join([summary_of(study, rows), *notes])
+    write_text(output_path(out, ".md"), summary.rstrip("\n") + "\n")
+    print(summary)
+    _plot(study, rows, curves, out)
+
+
+def _plot(study: Study, rows: list[Row], curves: list[Row], out: Path) -> None:
+    """Draw the figures; one of an earlier call, where there is nothing to draw, is removed."""
+    if not rows:
+        output_path(out, ".png").unlink(missing_ok=True)
+    elif study.curves:
         plot_curves(output_path(out, ".png"), study, rows, curves)
     else:
         plot_columns(output_path(out, ".png"), study, rows)
     joint = study.joint
     if study.curves and have_joint_curve(joint, rows):
         plot_together(output_path(out, "_together.png"), joint, rows, curves)
-    failed = [f"- failed: {failure}" for failure in failures]
-    summary = "\n".join([summary_of(study, rows), *failed])
-    output_path(out, ".md").write_text(summary.rstrip("\n") + "\n")
-    print(summary)
+    elif study.curves:
+        output_path(out, "_together.png").unlink(missing_ok=True)
 
 
 def summary_of(study: Study, rows: Sequence[Row]) -> str:

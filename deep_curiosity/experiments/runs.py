@@ -3,13 +3,14 @@
 import json
 import math
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from deep_curiosity import __version__
 from deep_curiosity.training.callbacks import Callback
 from deep_curiosity.training.config import Config, config_key, run_key
+from deep_curiosity.training.lease import LeaseError
 from deep_curiosity.training.log import (
     CONFIG,
     SUMMARY,
@@ -80,11 +81,12 @@ def run_once(config: Config, on_evaluation: Callback | None = None) -> dict[str,
 
     Raises:
         FileExistsError: If the folder holds a run of other settings, or a longer one.
+        LeaseError: If another process has begun the run meanwhile, or holds its folder.
         RunStoppedError: If it is stopped before its end; it can be continued.
     """
     folder = config.run.out
     if not (folder / CONFIG).exists():
-        return _to_its_end(config, on_evaluation)
+        return _begin(config, on_evaluation)
     there, here = config_key(read_values(folder)), config_key(config.to_json())
     differing = {name for name in there.keys() | here.keys() if there.get(name) != here.get(name)}
     extendable = set() if config.agent.follows_schedule else {"total_steps"}
@@ -104,6 +106,18 @@ def run_once(config: Config, on_evaluation: Callback | None = None) -> dict[str,
         if taken >= wanted:
             return summary
     return _to_its_end(config, on_evaluation, resume=True)
+
+
+def _begin(config: Config, on_evaluation: Callback | None) -> dict[str, Any]:
+    """Summary of a new run, whose folder was free a moment ago."""
+    try:
+        return _to_its_end(config, on_evaluation)
+    except FileExistsError as error:
+        if not (config.run.out / CONFIG).exists():
+            raise
+        raise LeaseError(
+            f"`out` must not be begun by two processes at once, got {config.run.out}: {error}"
+        ) from error
 
 
 def _to_its_end(
@@ -145,19 +159,39 @@ def run_foreign(cell: "Cell", trained: Callable[["Cell"], tuple["Row", list["Row
 
 
 def find_finished(runs: Path) -> dict[str, Path]:
-    """Folders of all runs that lie somewhere below one, by what makes each run the one it is.
+    """Folders of all finished runs below one, by what makes each run the one it is.
 
-    A run whose settings cannot be read is left where it lies, with a warning.
+    A run that has not come to its end is none. One whose settings cannot be read is left where it
+    lies, with a warning.
     """
     found = {}
     for path in sorted(runs.rglob(CONFIG), reverse=True):
         try:
-            key = run_key(read_values(path.parent))
+            values = read_values(path.parent)
         except (OSError, ValueError) as error:
             warnings.warn(f"{path.parent} is passed over: {error}", stacklevel=2)
             continue
-        found[key] = path.parent
+        if _is_finished(path.parent, values):
+            found[run_key(values)] = path.parent
     return found
+
+
+def is_finished(config: Config) -> bool:
+    """Whether the folder of a run holds it, and to its end."""
+    try:
+        values = read_values(config.run.out)
+    except (OSError, ValueError):
+        return False
+    return run_key(values) == finished_key(config) and _is_finished(config.run.out, values)
+
+
+def _is_finished(folder: Path, values: dict[str, Any]) -> bool:
+    """Whether a run's summary is whole, and tells of all the steps that its settings want."""
+    try:
+        summary = json.loads((folder / SUMMARY).read_text())
+        return bool(summary["total_steps"] >= values["total_steps"])
+    except (OSError, ValueError, TypeError, KeyError):
+        return False
 
 
 def finished_key(config: Config) -> str:
@@ -196,3 +230,11 @@ def _area(config: Config) -> float | None:
         if step % config.run.evaluation_interval < config.environment.num_envs
     ]
     return sum(evaluations) / len(evaluations) if evaluations else None
+
+
+COLUMNS_OF: "dict[Callable[[Config, Row], list[Row]], Sequence[str]]" = {
+    measure_run: MEASURED,
+    measure_area: ("area", "evaluation_return"),
+    measure_run_and_area: ("area", *MEASURED),
+}
+"""Columns of the rows that a measure of this module gives."""

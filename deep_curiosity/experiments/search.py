@@ -37,8 +37,9 @@ class Search:
         """Check that every task can be scored, and every setting be set.
 
         Raises:
-            TypeError: If a setting is none of the tasks'.
-            ValueError: If there is nothing to choose, or a task has no range.
+            TypeError: If a setting is none of the tasks', or its values are no distribution.
+            ValueError: If there is nothing to choose, a task has no range, or a setting cannot
+                have a value that may be drawn, as far as that is known without all the others.
         """
         if not self.space or not self.tasks:
             raise ValueError(
@@ -55,6 +56,35 @@ class Search:
                 raise TypeError(
                     f"`space` must hold settings of {task.name}, got {', '.join(unknown)}."
                 )
+        self._check_space()
+
+    def _check_space(self) -> None:
+        """Refuse what is no distribution, or has an end that no run can have."""
+        from optuna.distributions import BaseDistribution  # who has values to give has Optuna
+
+        for name, values in self.space.items():
+            if not isinstance(values, BaseDistribution):
+                raise TypeError(
+                    f"`space` must hold distributions of Optuna, got {values!r} for {name}."
+                )
+        for task in self.tasks:
+            for name, values in self.space.items():
+                for end in _ends(values):
+                    self._check_end(task, name, end)
+
+    def _check_end(self, task: Task, name: str, end: Any) -> None:
+        """Refuse an end that a run can have neither alone nor with an end of another setting."""
+        error = _refusal(task, {name: end})
+        others = [
+            {other: value}
+            for other, values in self.space.items()
+            if other != name
+            for value in _ends(values)
+        ]
+        if error is not None and all(_refusal(task, {name: end} | each) for each in others):
+            raise type(error)(
+                f"`space` must hold what runs of {task.name} can have, got {name} {end!r}: {error}"
+            ) from error
 
     def identity(self) -> dict[str, Any]:
         """What makes the search the one it is, by name, as JSON takes it."""
@@ -69,6 +99,21 @@ class Search:
         """A return of a task on the scale of all."""
         low, high = self.ranges[task]
         return (value - low) / (high - low)
+
+
+def _ends(distribution: Any) -> Sequence[Any]:
+    """Both ends of a distribution of numbers, or all choices."""
+    choices: Sequence[Any] | None = getattr(distribution, "choices", None)
+    return (distribution.low, distribution.high) if choices is None else choices
+
+
+def _refusal(task: Task, values: Mapping[str, Any]) -> TypeError | ValueError | None:
+    """Why no run of a task can have these settings; nothing where one can."""
+    try:
+        task.config.override(**values)
+    except (TypeError, ValueError) as error:
+        return error
+    return None
 
 
 def check_out(out: Path) -> None:

@@ -1,18 +1,34 @@
 """What a study is: tasks, agents by the settings they change, and what is measured of each run."""
 
 import math
-from collections.abc import Callable, Sequence
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
 from deep_curiosity.configuration import check_range
-from deep_curiosity.experiments.runs import measure_run, run_own
+from deep_curiosity.experiments.runs import MEASURED, measure_run, run_own
 from deep_curiosity.training.config import Config
 
 Row = dict[str, Any]
 Agents = dict[str | float, dict[str, Any]]
 """Label of each agent to the settings that it changes."""
+CHOSEN = ("out", "seed")
+"""Settings that a study chooses for each of its runs."""
+OF_ROWS = (
+    "task",
+    "seed",
+    "step",
+    "solved",
+    "solved_step",
+    "version",
+    "commit",
+    "settings",
+    "area",
+)
+"""Columns of tables and curves, besides those that are measured of every run."""
 
 
 @dataclass(frozen=True)
@@ -25,12 +41,23 @@ class Task:
         solved_return: Evaluation return from which a run counts as solved; NaN where none does.
         is_shown_apart: Whether it is left out of what is said of all tasks together, such as a
             task on which the default was chosen.
+
+    Raises:
+        TypeError: If the return is no number.
     """
 
     name: str
     config: Config
     solved_return: float = math.nan
     is_shown_apart: bool = False
+
+    def __post_init__(self) -> None:
+        """Refuse a return that no other can be compared with."""
+        value = self.solved_return
+        if isinstance(value, bool) or not isinstance(value, Real):
+            raise TypeError(
+                f"`solved_return` of {self.name} must be a number, or NaN, got {value!r}."
+            )
 
 
 @dataclass(frozen=True)
@@ -50,9 +77,10 @@ class Study:
         curves: Whether the figure shows learning curves instead of the columns.
 
     Raises:
-        TypeError: If an agent changes a setting that there is not, or gives it a wrong type.
-        ValueError: If there is no task or agent, two have one name, a number is out of range, or
-            an agent's settings cannot be.
+        TypeError: If an agent changes a setting that there is not, or gives it a wrong type; or
+            columns are no names.
+        ValueError: If there is no task or agent, two have one name or one folder, a number is out
+            of range, an agent's settings cannot be, or the label or columns are none.
     """
 
     tasks: Sequence[Task]
@@ -73,6 +101,9 @@ class Study:
         for name, known in (("tasks", tasks), ("agents", agents)):
             if not known or len(set(known)) < len(known):
                 raise ValueError(f"`{name}` must have names, each of its own, got {known}.")
+        self._check_folders(tasks, agents)
+        self._check_columns()
+        self._check_agents()
         if self.run is run_own:
             self._check_settings()
 
@@ -81,6 +112,43 @@ class Study:
         """The study of the tasks of which something is said together; of all where none is."""
         tasks = [task for task in self.tasks if not task.is_shown_apart]
         return replace(self, tasks=tasks or self.tasks)
+
+    @staticmethod
+    def _check_folders(tasks: Sequence[str], agents: Sequence[str]) -> None:
+        """Refuse names by which a run would have no folder of its own below the study's."""
+        for name in (*tasks, *agents):
+            if not name or Path(name).is_absolute() or ".." in Path(name).parts:
+                raise ValueError(
+                    f"`tasks` and `agents` must have names that folders can have, got {name!r}."
+                )
+        folders = Counter(Path(task, agent) for task in tasks for agent in agents)
+        if twice := [str(folder) for folder, count in folders.items() if count > 1]:
+            raise ValueError(
+                "`tasks` and `agents` must give each run a folder of its own, got "
+                f"{', '.join(twice)} for several."
+            )
+
+    def _check_columns(self) -> None:
+        """Refuse columns that are no names, and a label that is one of the rows' columns."""
+        columns = self.columns
+        if isinstance(columns, str) or not all(isinstance(name, str) for name in columns):
+            raise TypeError(f"`columns` must be a sequence of names, got {columns!r}.")
+        if not columns or len(set(columns)) < len(columns):
+            raise ValueError(f"`columns` must have names, each of its own, got {columns!r}.")
+        if not self.label or self.label in (*OF_ROWS, *MEASURED, *columns):
+            raise ValueError(f"`label` must be a name of no column, got {self.label!r}.")
+
+    def _check_agents(self) -> None:
+        """Refuse agents without settings by name, and settings that the study chooses."""
+        for label, settings in self.agents.items():
+            if not isinstance(settings, Mapping):
+                raise TypeError(f"agent {label!r} must have settings by name, got {settings!r}.")
+            for name in CHOSEN:
+                if name in settings:
+                    raise ValueError(
+                        f"agent {label!r}: `{name}` must be left to the study, which gives each "
+                        f"run its own, got {settings[name]!r}."
+                    )
 
     def _check_settings(self) -> None:
         """Refuse settings of an agent that its runs could not have."""

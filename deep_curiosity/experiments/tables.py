@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from deep_curiosity.experiments.statistics import bootstrap, rank_correlation
+from deep_curiosity.experiments.statistics import Groups, bootstrap, rank_correlation
 from deep_curiosity.experiments.study import Row, Study
 from deep_curiosity.training.log import write_text
 
@@ -125,9 +125,9 @@ def summarize(study: Study, rows: Sequence[Row]) -> str:
     return "\n".join([markdown_table(header, lines) + "\n", *_rank_correlations(study, rows)])
 
 
-def is_missing(value: float | None) -> bool:
+def is_missing(value: float | str | None) -> bool:
     """Whether a run has no number there."""
-    return value is None or math.isnan(value)
+    return value is None or value == "" or math.isnan(float(value))
 
 
 def _estimate(column: str, values: Sequence[float | None]) -> str:
@@ -135,13 +135,19 @@ def _estimate(column: str, values: Sequence[float | None]) -> str:
 
     Of steps, where one that is missing was never reached, median and range.
     """
-    known = [float(each) for each in values if each is not None and not is_missing(each)]
+    known = [float(each) for each in values if not is_missing(each)]  # type: ignore[arg-type]
     if not known:
         return ""
     if len(known) < len(values) and column.endswith("step"):
         return median_and_range(values)
-    counted = f", {len(known)} of {len(values)} runs" if len(known) < len(values) else ""
-    return f"{bootstrap([known])}{counted}"
+    return counted_estimate([known], len(values))
+
+
+def counted_estimate(known: Groups, num_runs: int) -> str:
+    """Interquartile mean with its interval, and of how many runs, where some have no value."""
+    num_known = sum(map(len, known))
+    counted = f", {num_known} of {num_runs} runs" if num_known < num_runs else ""
+    return f"{bootstrap(known)}{counted}"
 
 
 def _rank_correlations(study: Study, rows: Sequence[Row]) -> list[str]:

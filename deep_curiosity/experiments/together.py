@@ -13,10 +13,15 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from deep_curiosity.experiments.figures import draw_curve, label_beside
+from deep_curiosity.experiments.figures import draw_curve, evaluated, label_beside
 from deep_curiosity.experiments.statistics import Estimate, Groups, bootstrap
 from deep_curiosity.experiments.study import Row, Study, Task
-from deep_curiosity.experiments.tables import markdown_table, select
+from deep_curiosity.experiments.tables import (
+    counted_estimate,
+    is_missing,
+    markdown_table,
+    select,
+)
 
 COLUMNS = ("evaluation_return", "area")
 """Of the rows that can be compared between tasks, as far as a study has them."""
@@ -32,8 +37,10 @@ def are_comparable(study: Study) -> bool:
 
 
 def is_measured(rows: Sequence[Row], column: str) -> bool:
-    """Whether every run has a number in a column, which a study's own measure decides."""
-    return all(isinstance(row.get(column), int | float) for row in rows)
+    """Whether runs have numbers in a column, or nothing, which a study's own measure decides."""
+    values = [row.get(column, "") for row in rows]
+    are_numbers = all(value is None or isinstance(value, int | float) for value in values)
+    return are_numbers and not all(map(is_missing, values))
 
 
 def have_joint_curve(study: Study, rows: Sequence[Row]) -> bool:
@@ -62,7 +69,7 @@ def groups_of(
     rows = sorted(rows, key=lambda row: float(row["seed"]))
     return [
         [
-            value / task.solved_return if normalized else value
+            value / task.solved_return if normalized and not is_missing(value) else value
             for value in select(rows, column, task=task.name, agent=agent)
         ]
         for task in study.tasks
@@ -78,13 +85,18 @@ def summarize_together(study: Study, rows: Sequence[Row]) -> list[str]:
     for agent in complete_agents(study, rows):
         solved = [*chain(*groups_of(study, rows, agent, "solved"))]
         estimates = [
-            str(bootstrap(groups_of(study, rows, agent, column, normalized=True)))
-            for column in columns
+            _estimate(groups_of(study, rows, agent, column, normalized=True)) for column in columns
         ]
         lines.append([str(agent), f"{solved.count(1)} of {len(solved)}", *estimates])
     header = ["all tasks", "runs solved", *(f"{name}, solved is 1" for name in columns)]
     table = markdown_table([text.replace("_", " ") for text in header], lines)
     return [table, "", *_left_out(study, rows)]
+
+
+def _estimate(groups: Groups) -> str:
+    """Interquartile mean of the runs that have a value; nothing where a task has none of them."""
+    known = [[value for value in runs if not is_missing(value)] for runs in groups]
+    return counted_estimate(known, sum(map(len, groups))) if all(known) else ""
 
 
 def _left_out(study: Study, rows: Sequence[Row]) -> list[str]:
@@ -107,6 +119,7 @@ def plot_together(path: Path, study: Study, rows: Sequence[Row], curves: Sequenc
     figure = Figure(figsize=(11.2, 3.9), layout="constrained")
     over_time, profile = figure.subplots(1, 2)
     agents = complete_agents(study, rows)
+    curves = evaluated(curves)
     over_steps = [agent for agent in agents if _has_curves(study, rows, curves, agent)]
     _draw(over_time, study, SHARES, {each: _curve(study, curves, each) for each in over_steps})
     _draw(profile, study, LEVELS, {agent: _profile(study, rows, agent) for agent in agents})
@@ -164,7 +177,8 @@ def _latest(task: Task, curves: Sequence[Row], agent: str | float) -> np.ndarray
     own = [row for row in curves if (row["task"], row["agent"]) == (task.name, agent)]
     latest = []
     for seed in dict.fromkeys(row["seed"] for row in own):
-        steps = select(own, "step", seed=seed)
+        taken = select(own, "step", seed=seed)
+        steps = np.minimum(taken, task.config.run.total_steps)  # several environments overshoot
         values = np.array([0.0, *select(own, "evaluation_return", seed=seed)])
         number = np.searchsorted(steps, SHARES * task.config.run.total_steps, side="right")
         latest.append(values[number] / task.solved_return)
@@ -172,8 +186,11 @@ def _latest(task: Task, curves: Sequence[Row], agent: str | float) -> np.ndarray
 
 
 def _profile(study: Study, rows: Sequence[Row], agent: str | float) -> list[Estimate]:
-    """Share of the runs that end at each level or above."""
-    groups = groups_of(study, rows, agent, "evaluation_return", normalized=True)
+    """Share of the runs that end at each level or above; one without a return is above none."""
+    groups = [
+        np.array(runs, dtype=float)  # nothing becomes NaN
+        for runs in groups_of(study, rows, agent, "evaluation_return", normalized=True)
+    ]
     reached = [np.less_equal.outer(LEVELS, runs) for runs in groups]  # tasks x levels x runs
     return [
         bootstrap([runs[place].tolist() for runs in reached], _mean)

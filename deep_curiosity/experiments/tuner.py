@@ -39,6 +39,7 @@ from deep_curiosity.training.log import write_json
 
 EVALUATIONS = "evaluations.jsonl"
 SEARCH = "search"  # attribute of Optuna's study: of what its trials are
+REASON = "reason"  # attribute of a trial that has failed: why
 VERY_POOR = -1e9  # score of a trial of which a run returned NaN
 STOP = "stop"  # its being there tells the runs of a trial to stop
 ENDED = (TrialState.COMPLETE, TrialState.PRUNED, TrialState.FAIL)
@@ -92,6 +93,8 @@ def tune(
                 write_search(study, out)
             wanted = min(at_once - ended % at_once, trials - ended)  # what is left of a batch
             batch = [_Trial(search, each, runs) for each in ask(study, search, wanted, seed)]
+            for trial in batch:
+                trial.check()
             run_batch(batch, engine)
             for trial in batch:
                 trial.tell(study)
@@ -122,9 +125,10 @@ def open_study(
         pruner=_make_pruner(search, pruner),
         load_if_exists=True,
     )
-    _claim(study, search)
     present = {name: flat(search.tasks[0].config)[name].value for name in search.space}
-    if not study.trials and all(_holds(search.space[name], present[name]) for name in present):
+    is_in_space = all(_holds(search.space[name], present[name]) for name in present)
+    _claim(study, search)  # once nothing else is to be refused
+    if is_in_space and not study.trials:
         study.enqueue_trial(present)
     return study
 
@@ -237,6 +241,15 @@ class _Trial:
             for task in self.search.tasks
         ]
 
+    def check(self) -> None:
+        """Note as a failure where no run can have what was drawn; the trial then has no runs."""
+        try:
+            self.cells  # noqa: B018
+        except (TypeError, ValueError) as error:
+            self.cells = []
+            self.failures.append(f"{error}")
+            print(f"failed: {self.folder}: {error}", file=sys.stderr, flush=True)
+
     def jobs(self) -> list[Job]:
         """Its runs, packed."""
         stop = self.folder / STOP
@@ -279,23 +292,24 @@ class _Trial:
 
     def tell(self, study: optuna.Study) -> None:
         """Tell Optuna how it ended; it has failed where a run is without its last evaluation."""
-        if not self.failures and self.pruned:
-            study.tell(self.trial, state=TrialState.PRUNED)
-        elif self.failures or self._lacks_evaluations():
+        if failures := self.failures or ([] if self.pruned else self._lacking()):
+            self.trial.set_user_attr(REASON, failures[0])
             study.tell(self.trial, state=TrialState.FAIL)
+        elif self.pruned:
+            study.tell(self.trial, state=TrialState.PRUNED)
         else:
             study.tell(self.trial, score_of([curve[-1] for curve in self.curves()]))
 
-    def _lacks_evaluations(self) -> bool:
-        """Whether a run has none at its end, as they were lost or a failed trial was cut off."""
+    def _lacking(self) -> list[str]:
+        """Runs without one at their end, as they were lost or a failed trial was cut off."""
         lacking = [
-            config.run.out
+            f"{config.run.out}: no evaluation at its end is noted"
             for _, config in self.cells
             if max(read_evaluations(config.run.out), default=0) < config.run.total_steps
         ]
-        for folder in lacking:
-            print(f"failed: {folder}: no evaluation at its end is noted", file=sys.stderr)
-        return bool(lacking)
+        for failure in lacking:
+            print(f"failed: {failure}", file=sys.stderr)
+        return lacking
 
 
 def score_of(values: Sequence[float]) -> float:
@@ -364,6 +378,8 @@ def read_evaluations(folder: Path) -> dict[int, float]:
 def write_search(study: optuna.Study, out: Path) -> None:
     """Write best settings, table and figure of what was tried so far.
 
+    Best settings and figure of another search are removed, where no trial is complete yet.
+
     Args:
         study: Of Optuna.
         out: Path without suffix.
@@ -371,15 +387,20 @@ def write_search(study: optuna.Study, out: Path) -> None:
     out.parent.mkdir(parents=True, exist_ok=True)
     trials = study.get_trials(deepcopy=False, states=ENDED)
     rows = [
-        {"trial": each.number, "state": each.state.name.lower(), "score": each.value} | each.params
+        {"trial": each.number, "state": each.state.name.lower(), "score": each.value}
+        | each.params
+        | {name: why for name, why in each.user_attrs.items() if name == REASON}
         for each in trials
     ]
     write_table(output_path(out, ".csv"), rows)
     complete = [each for each in trials if each.state is TrialState.COMPLETE]
     if complete:
         write_json(output_path(out, ".json"), study.best_params)
-        scores = [math.nan if each.value is None else each.value for each in trials]
+        scores = [math.nan if each.value in (None, VERY_POOR) else each.value for each in trials]
         plot_search(output_path(out, ".png"), scores, importances(study, len(complete)))
+    else:
+        for ending in (".json", ".png"):
+            output_path(out, ending).unlink(missing_ok=True)
 
 
 def importances(study: optuna.Study, num_complete: int) -> dict[str, float]:

@@ -36,7 +36,7 @@ def test_the_files_that_are_named_at_the_end_are_there(found, capsys):
 
 def test_where_no_trial_was_complete_no_best_settings_are_named(found, capsys):
     found(".csv")
-    main(["tune", "agent", "--out", "gamma0.1"])
+    assert main(["tune", "agent", "--out", "gamma0.1"]) == 1
     assert capsys.readouterr().out == "no trial was complete; trials in gamma0.1.csv\n"
 
 

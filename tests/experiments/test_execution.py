@@ -9,6 +9,7 @@ from deep_curiosity.experiments.engines.base import Engine, Job, Outcome
 from deep_curiosity.experiments.execution import Ended, Execution
 
 LOST = ConnectionError("the node is gone\nand this is its state")
+LEFT = SystemExit(0)
 STOPPED = Outcome(error="RunStoppedError: stopped", stopped=True)
 HELD = Outcome(error="LeaseError: held", held=True)
 
@@ -72,12 +73,13 @@ def test_what_raises_is_not_tried_again():
     assert ends(engine, 2) == [Ended(0, failed), Ended(1, Outcome(1))]
 
 
-@pytest.mark.parametrize("lost", [LOST, STOPPED])
+@pytest.mark.parametrize("lost", [LOST, LEFT, STOPPED])
 def test_what_gets_no_further_is_given_up(lost):
     engine = ScriptedEngine({0: [lost] * 10})
     (ended,) = ends(engine, 1)
     assert len(engine.given) == execution.MOST_TRIES
-    assert ended.outcome.error in (STOPPED.error, "ConnectionError: the node is gone")
+    messages = {LOST: "ConnectionError: the node is gone", LEFT: "SystemExit: 0"}
+    assert ended.outcome.error == messages.get(lost, STOPPED.error)
 
 
 def test_what_gets_further_is_tried_as_often_as_it_is_lost():

@@ -77,3 +77,23 @@ def test_labels_lie_neither_upon_another_nor_past_the_top(wanted):
     assert edges[-1] <= 1 + 1e-9
     alone = _spread([0.4], [0.03])
     assert alone == [0.4]
+
+
+@pytest.mark.parametrize(
+    "plot", [plot_curves, lambda path, study, rows, _: plot_columns(path, study, rows)]
+)
+def test_dollars_in_names_are_dollars(saved, tmp_path, make_rows, plot):
+    study = Study([Task("$y^^$", Config())], {"$x^^$": {}}, columns=("coverage",), curves=True)
+    key = {"task": "$y^^$", "agent": "$x^^$", "step": 10}
+    curves = [key | {"seed": seed, "evaluation_return": 2.0 * seed} for seed in range(2)]
+    plot(tmp_path / "figure.png", study, make_rows(study, len), curves)
+    saved[0].draw_without_rendering()  # which reads mathematics, and refuses this
+    assert saved[0].axes[0].get_title() == r"\$y^^\$"
+
+
+def test_a_value_that_is_missing_is_in_no_figure(saved, tmp_path, make_rows):
+    study = Study(TASKS[:1], {"bold": {}, "shy": {}}, columns=("coverage",))
+    rows = make_rows(study, len)
+    rows[0]["coverage"] = float("nan")
+    plot_columns(tmp_path / "figure.png", study, rows)
+    assert [line.get_xdata().tolist() for line in saved[0].axes[0].lines[:2]] == [[5.0], [5.0]]

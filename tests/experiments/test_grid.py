@@ -1,12 +1,13 @@
 import csv
 import json
+import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import pytest
 
 from deep_curiosity import __version__
-from deep_curiosity.experiments import runs
+from deep_curiosity.experiments import grid, runs
 from deep_curiosity.experiments.engines.base import Outcome
 from deep_curiosity.experiments.engines.local import LocalEngine
 from deep_curiosity.experiments.grid import (
@@ -21,6 +22,7 @@ from deep_curiosity.experiments.grid import (
 )
 from deep_curiosity.experiments.study import Result, Study, Task
 from deep_curiosity.training import Config, train
+from deep_curiosity.training.log import open_folder
 from deep_curiosity.training.source import source_commit
 
 
@@ -180,7 +182,23 @@ def test_settings_of_all_runs_can_be_overridden(small_study, tmp_path):
             TypeError,
             "agent 'odd' on pendulum: `novelty` is",
         ),
-        ({"agents": {"odd": {"seed": -1}}}, ValueError, "agent 'odd' .*: `seed` must not be neg"),
+        ({"agents": {"odd": {"hunger": -1.0}}}, ValueError, "agent 'odd' on pendulum: `hunger`"),
+        ({"agents": {"odd": {"seed": 3}}}, ValueError, "agent 'odd': `seed` must be left .*got 3"),
+        ({"agents": {"odd": {"out": "a"}}}, ValueError, "agent 'odd': `out` must be left to"),
+        ({"agents": {"odd": None}}, TypeError, "agent 'odd' must have settings .*got None"),
+        ({"agents": {"": {}}}, ValueError, "`agents` must have names that .* got ''"),
+        ({"agents": {"../a": {}}}, ValueError, "`agents` must have names that .*'../a'"),
+        (
+            {"agents": {"a": {}, "./a": {}}},
+            ValueError,
+            "`agents` must give each run a folder",
+        ),
+        ({"columns": ()}, ValueError, r"`columns` must have names, each of its own, got \(\)"),
+        ({"columns": "area"}, TypeError, "`columns` must be a sequence of names, got 'area'"),
+        ({"columns": ("area", "area")}, ValueError, "`columns` must have names, each of its own"),
+        ({"label": "area"}, ValueError, "`label` must be a name of no column, got 'area'"),
+        ({"label": "seed"}, ValueError, "`label` must be a name of no column, got 'seed'"),
+        ({"columns": ("x",), "label": "x"}, ValueError, "`label` must be a name of no column"),
         ({"agents": {}}, ValueError, r"`agents` must have names, each of its own, got \[\]"),
         ({"agents": {0.5: {}, "0.5": {}}}, ValueError, "`agents` must have names, each of its"),
         ({"tasks": []}, ValueError, r"`tasks` must have names, each of its own, got \[\]"),
@@ -211,6 +229,14 @@ def test_what_a_study_chooses_or_could_not_run_with_is_no_setting_of_all(
 ):
     with pytest.raises(error, match=message):
         overridden(small_study, values)
+
+
+def test_a_setting_that_one_agent_changes_is_none_of_all(small_study):
+    message = "`bonus` must be left to the study, where it is chosen by none, got 'none'"
+    with pytest.raises(ValueError, match=message):
+        overridden(small_study, {"bonus": "none"})
+    others = overridden(part_of(small_study, [], ["curiosity"]), {"bonus": "none"})
+    assert others.tasks[0].config.bonus.kind == "none"
 
 
 def test_a_setting_that_every_agent_changes_is_none_of_all(small_study):
@@ -294,6 +320,7 @@ def test_a_column_that_is_not_measured_is_refused_at_the_first_result(
     small_study, tmp_path, monkeypatch
 ):
     study = replace(small_study, columns=("evaluation_return", "nope"), curves=False, seeds=1)
+    study = replace(study, measure=lambda config, summary: runs.measure_run(config, summary))
     places = {"runs": tmp_path / "runs" / "mine", "out": tmp_path / "out"}
     message = "`columns` must be measured, got 'nope'; there are solved, .*coverage"
     with pytest.raises(ValueError, match=message):
@@ -310,3 +337,129 @@ def test_a_column_that_is_not_measured_is_refused_at_the_first_result(
         == 1
     )  # the other agent's, which would have to be trained
     assert [row["agent"] for row in table(tmp_path / "out")] == [finished.parent.parent.name]
+
+
+def measured(cell):
+    """A run without training: `lost` calls sys.exit, and `broken` raises."""
+    if cell.agent == "lost":
+        sys.exit(0)
+    if cell.agent == "broken":
+        raise ArithmeticError("too poor")
+    return Result([{"evaluation_return": 1.0}], [], {"version": "1"})
+
+
+@pytest.fixture
+def quick_study(small_study):
+    """The study of runs without training."""
+    columns = ("evaluation_return",)
+    return replace(small_study, agents={"good": {}}, columns=columns, run=measured, curves=False)
+
+
+def run_quickly(study, out):
+    with ThreadPoolExecutor(1) as executor:
+        return run_study(study, runs=out.parent / "runs", out=out, executor=executor)
+
+
+def test_a_run_that_calls_sys_exit_is_listed_and_the_others_go_on(quick_study, tmp_path):
+    study = replace(quick_study, agents={"lost": {}, "good": {}})
+    assert run_quickly(study, tmp_path / "out") == 2
+    assert [row["agent"] for row in table(tmp_path / "out")] == ["good", "good"]
+    assert "- failed: pendulum, lost, seed 1: SystemExit: 0" in (tmp_path / "out.md").read_text()
+
+
+def test_a_study_whose_runs_all_fail_leaves_no_files_of_an_earlier_one(quick_study, tmp_path):
+    out = tmp_path / "out"
+    for study in (quick_study, replace(quick_study, curves=True)):
+        assert run_quickly(quick_study, out) == 0
+        (tmp_path / "out_together.png").touch()
+        assert run_quickly(replace(study, agents={"broken": {}}), out) == 2
+        summary = out.with_suffix(".md").read_text()
+        assert "- failed: pendulum, broken, seed 0: ArithmeticError: too poor" in summary
+        assert "good" not in summary and table(out) == []
+        assert not out.with_suffix(".png").exists()
+    assert not (tmp_path / "out_together.png").exists()
+    assert run_quickly(quick_study, out) == 0  # over its own
+
+
+def test_the_summary_of_a_study_that_is_not_at_its_end_says_so(quick_study, tmp_path):
+    study = replace(quick_study, agents={"good": {}, "broken": {}})
+    cells = cells_of(study, tmp_path / "runs")
+    records = Records(study, cells, tmp_path / "out")
+    records.add(0, Outcome(measured(cells[0])))
+    records.add(1, Outcome(error="ArithmeticError: too poor"))
+    records.write()
+    assert "\n1 of 4 runs so far.\n\n- failed: " in (tmp_path / "out.md").read_text()
+    records.add(2, Outcome(measured(cells[2])))
+    records.add(3, Outcome(measured(cells[2])))
+    records.write()
+    assert "so far" not in (tmp_path / "out.md").read_text()
+
+
+def test_the_summary_is_there_where_a_figure_cannot_be_drawn(quick_study, tmp_path, monkeypatch):
+    monkeypatch.setattr(grid, "plot_columns", None)
+    with pytest.raises(TypeError):
+        run_quickly(quick_study, tmp_path / "out")
+    assert "| pendulum | good | 2 of 2 | 1 [1, 1] |" in (tmp_path / "out.md").read_text()
+
+
+def test_a_column_that_no_run_can_have_is_refused_before_anything_runs(small_study, tmp_path):
+    study = replace(small_study, columns=("nope",), curves=False)
+    message = "`columns` must be measured, got 'nope'; there are solved, .*coverage"
+    with pytest.raises(ValueError, match=message):
+        run_study(study, runs=tmp_path / "runs", out=tmp_path / "out", engine=LocalEngine(1))
+    assert [*tmp_path.iterdir()] == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"columns": ("note",)}, "`columns` must hold numbers, got 'note' with 'hello'"),
+        ({"label": "note"}, "`label` must be no column of the rows, got 'note'"),
+    ],
+    ids=str,
+)
+def test_what_rows_cannot_show_is_refused_at_the_first(quick_study, tmp_path, changes, message):
+    study = replace(quick_study, **changes)
+    records = Records(study, cells_of(study, tmp_path / "runs"), tmp_path / "out")
+    row = {"evaluation_return": 1.0, "note": "hello"}
+    with pytest.raises(ValueError, match=message):
+        records.add(0, Outcome(Result([row], [], {})))
+
+
+def test_a_column_of_solved_runs_is_blank_where_no_return_solves_a_task(quick_study, tmp_path):
+    tasks = [*quick_study.tasks, Task("open", Config())]
+    study = replace(quick_study, tasks=tasks, columns=("evaluation_return", "solved"))
+    records = Records(study, cells_of(study, tmp_path / "runs"), tmp_path / "out")
+    for number, cell in enumerate(cells_of(study, tmp_path / "runs")):
+        records.add(number, Outcome(measured(cell)))
+    records.write()
+    summary = (tmp_path / "out.md").read_text()
+    assert "| open | good | - | 1 [1, 1] |  |" in summary
+    assert "| pendulum | good | 2 of 2 | 1 [1, 1] | 1 [1, 1] |" in summary
+
+
+def test_a_return_that_solves_a_task_must_be_a_number():
+    for value in (None, "5", True):
+        with pytest.raises(TypeError, match=f"`solved_return` of maze must be .*got {value!r}"):
+            Task("maze", Config(), value)
+
+
+def finish(config):
+    open_folder(config)
+    values = {"total_steps": config.run.total_steps}
+    (config.run.out / "summary.json").write_text(json.dumps(values))
+
+
+def test_a_finished_run_is_read_where_it_lies_and_first_in_its_own_folder(small_study, tmp_path):
+    places = small_study, tmp_path / "runs" / "z"
+    own = cells_of(*places)[0]
+    there = tmp_path / "runs" / "a"
+    open_folder(own.config.override(out=there))
+    assert cells_of(*places)[0].folder == own.folder  # the other is not finished
+    (there / "config.json").unlink()
+    finish(own.config.override(out=there))
+    open_folder(own.config)
+    assert cells_of(*places)[0].folder == there  # the own one is not finished
+    (own.folder / "config.json").unlink()
+    finish(own.config)
+    assert cells_of(*places)[0].folder == own.folder

@@ -12,6 +12,7 @@ from deep_curiosity.experiments.runs import (
     run_once,
 )
 from deep_curiosity.experiments.study import Cell, Study, Task
+from deep_curiosity.training.lease import LeaseError
 from deep_curiosity.training.log import open_folder
 
 
@@ -56,9 +57,16 @@ def test_a_run_that_is_stopped_is_none_to_measure_and_goes_on(tiny):
     assert run_once(tiny)["total_steps"] == 60
 
 
+def finish(config, steps=None):
+    """Leave what a run that has ended leaves, without training."""
+    open_folder(config)
+    total_steps = config.run.total_steps if steps is None else steps
+    (config.run.out / "summary.json").write_text(json.dumps({"total_steps": total_steps}))
+
+
 def test_a_run_of_the_same_settings_is_found_wherever_it_lies(tiny, tmp_path):
     there = tiny.override(env_id="PointMaze", env_kwargs={}, out=tmp_path / "runs" / "other study")
-    open_folder(there.override(matmul_precision="high"))
+    finish(there.override(matmul_precision="high"))
     finished = find_finished(tmp_path / "runs")
     wanted = there.override(out=tmp_path / "runs" / "here")
     assert finished[finished_key(wanted)] == there.run.out
@@ -101,3 +109,27 @@ def test_a_run_without_a_return_has_no_area(tiny, monkeypatch, value):
     config = tiny.override(evaluation_interval=20)
     (row,) = measure_area(config, {"evaluation_return": None})
     assert row == {"area": None, "evaluation_return": None}
+
+
+def test_only_runs_that_have_come_to_their_end_are_found(tiny, tmp_path):
+    finish(tiny.override(out=tmp_path / "b whole"))
+    open_folder(tiny.override(out=tmp_path / "a begun"))
+    finish(tiny.override(out=tmp_path / "c stopped"), steps=20)
+    for name, text in (("d torn", '{"total_st'), ("e other", "[]"), ("f empty", "{}")):
+        open_folder(tiny.override(out=tmp_path / name))
+        (tmp_path / name / "summary.json").write_text(text)
+    assert find_finished(tmp_path) == {finished_key(tiny): tmp_path / "b whole"}
+
+
+def test_a_run_that_another_process_begins_meanwhile_is_held(tiny, tmp_path, monkeypatch):
+    def train(config, **options):
+        open_folder(config)  # by the other process, since it was looked for
+        open_folder(config)
+
+    monkeypatch.setattr(runs, "train", train)
+    with pytest.raises(LeaseError, match=r"begun by two processes .* not hold a run already"):
+        run_once(tiny.override(out=tmp_path / "both"))
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "progress.csv").touch()
+    with pytest.raises(FileExistsError, match="no file that a run would write over"):
+        run_once(tiny.override(out=tmp_path / "mine"))

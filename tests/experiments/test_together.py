@@ -145,3 +145,29 @@ def test_an_agent_with_a_run_without_evaluations_has_no_curve(kept, curves, tmp_
     assert len(profile.lines) == 2
     plot_together(tmp_path / "figure.png", STUDY, rows_of(), [])
     assert len(kept[1].axes[0].lines) == 0
+
+
+def test_an_evaluation_past_the_last_step_of_several_environments_counts_at_the_end(
+    kept, curves, tmp_path
+):
+    ends = {"maze": 1_000, "hill": 2_000}
+    late = [
+        row | {"step": row["step"] + 12 * (row["step"] == ends[row["task"]])} for row in curves
+    ]
+    plot_together(tmp_path / "figure.png", STUDY, rows_of(), late)
+    assert kept[0].axes[0].lines[0].get_ydata()[-1] == 1.25
+
+
+@pytest.mark.parametrize("value", [None, float("nan")], ids=str)
+def test_a_run_without_a_return_is_counted_and_hides_no_column(kept, curves, tmp_path, value):
+    rows = rows_of()
+    assert (rows[0]["task"], rows[0]["agent"]) == ("maze", "bold")
+    rows[0]["evaluation_return"] = value
+    _, _, bold, shy = summarize_together(STUDY, rows)[0].splitlines()
+    assert bold == "| bold | 2 of 4 | 1 [1, 1], 3 of 4 runs | 0.625 [0.625, 0.625] |"
+    assert shy == "| shy | 0 of 4 | 0 [0, 0] | 0 [0, 0] |"
+    plot_together(tmp_path / "figure.png", STUDY, rows, curves)
+    assert kept[0].axes[1].lines[0].get_ydata()[0] == 0.75  # it ends above no level
+    for row in rows:
+        row["evaluation_return"] = value if row["task"] == "maze" else row["evaluation_return"]
+    assert "| bold | 2 of 4 |  | 0.625" in summarize_together(STUDY, rows)[0]

@@ -199,6 +199,14 @@ def test_a_trial_with_a_run_that_raises_has_failed_and_the_search_goes_on(
         ({"space": {}}, "`space` and `tasks` must have an entry each, got 0 and 2"),
         ({"ranges": {"easy": (0.0, 1.0)}}, "`ranges` must give two rising returns for hard"),
         ({"space": {"novelty": None}}, "`space` must hold settings of easy, got novelty"),
+        (
+            {"space": {"learning_rate": (1e-4, 1e-2)}},
+            r"`space` must hold distributions of Optuna, got \(0.0001, 0.01\) for learning_rate",
+        ),
+        (
+            {"space": {"discount": FloatDistribution(0.9, 1.5)}},
+            "`space` must hold what runs of easy can have, got discount 1.5: `discount` must be",
+        ),
     ],
     ids=str,
 )
@@ -301,3 +309,78 @@ def test_trials_of_another_search_are_not_gone_on_with(search, search_in, tmp_pa
 def test_a_trial_of_which_a_run_returned_nan_is_very_poor():
     assert tuner.score_of([0.9, 0.9, 0.9, math.nan]) == tuner.VERY_POOR
     assert tuner.score_of([0.1, 0.5, 0.7, 0.9]) == pytest.approx(0.6)
+
+
+def test_a_combination_that_no_run_can_have_is_a_failed_trial_and_the_search_goes_on(
+    search, search_in, calls, tmp_path, capsys
+):
+    small, large = CategoricalDistribution((16, 64)), CategoricalDistribution((32, 128))
+    rates = search.space["learning_rate"]
+    space = {"batch_size": small, "replay_capacity": large, "learning_rate": rates}
+    with ThreadPoolExecutor(1) as executor:
+        study = tuner.tune(
+            replace(search, space=space),
+            trials=12,
+            runs=tmp_path / "runs",
+            out=tmp_path / "best",
+            engine=ExecutorEngine(executor),
+            at_once=2,
+        )
+    failed = [trial for trial in study.trials if trial.state.name == "FAIL"]
+    assert len(study.trials) == 12 and 0 < len(failed) < 12
+    for trial in failed:
+        assert (trial.params["batch_size"], trial.params["replay_capacity"]) == (64, 32)
+        assert "64" in trial.user_attrs["reason"]
+    assert f"trial{failed[0].number:04d}: `" in capsys.readouterr().err
+    with (tmp_path / "best.csv").open() as file:
+        assert sum(bool(row["reason"]) for row in csv.DictReader(file)) == len(failed)
+
+
+def test_a_search_that_could_not_be_opened_leaves_its_folder_to_another(
+    search, tmp_path, monkeypatch
+):
+    with monkeypatch.context() as patch:
+        patch.setattr(tuner, "_holds", None)
+        with pytest.raises(TypeError):
+            tuner.open_study(search, tmp_path / "runs")
+    tuner.open_study(replace(search, seeds=3), tmp_path / "runs")
+
+
+def test_where_all_trials_fail_no_best_settings_of_another_search_are_left(
+    search_in, tmp_path, monkeypatch
+):
+    (tmp_path / "out").mkdir()
+    for ending in (".json", ".png"):
+        (tmp_path / "out" / f"best{ending}").touch()
+    (tmp_path / "out" / "best.csv").write_text("trial,state\n0,complete\n")
+
+    def fail(config, on_evaluation):
+        raise ArithmeticError("too poor")
+
+    monkeypatch.setattr(tuner, "run_once", fail)
+    search_in(tmp_path, trials=2)
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["best.csv"]
+    with (tmp_path / "out" / "best.csv").open() as file:
+        assert [row["reason"] for row in csv.DictReader(file)] == [
+            "ArithmeticError: too poor",
+            "ArithmeticError: too poor",
+        ]
+
+
+def test_a_very_poor_trial_is_left_out_of_the_picture(search_in, calls, tmp_path, monkeypatch):
+    run_once, shown = tuner.run_once, []
+
+    def diverge(config, on_evaluation):
+        is_present = config.agent.learning_rate == 0.001
+        run_once(
+            config,
+            (lambda step, _: on_evaluation(step, {"eval/return": math.nan}))
+            if is_present
+            else on_evaluation,
+        )
+
+    monkeypatch.setattr(tuner, "run_once", diverge)
+    monkeypatch.setattr(tuner, "plot_search", lambda path, scores, _: shown.append(scores))
+    study = search_in(tmp_path, trials=3)
+    assert study.trials[0].value == tuner.VERY_POOR
+    assert [math.isnan(score) for score in shown[-1]] == [True, False, False]

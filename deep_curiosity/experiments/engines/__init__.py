@@ -38,7 +38,7 @@ def make_engine(args: EngineArgs, runs: Path) -> Engine:
         ImportError: If its package is missing, with the command that installs it.
         ValueError: If an option is not one of the engine's.
     """
-    options = read_settings(args.engine_options)
+    options = read_settings(args.engine_options, "engine_options")
     if args.engine != "ray" and args.address is not None:
         raise ValueError(f"`address` must be left out without the engine ray, got {args.address}.")
     if args.engine == "ray":

@@ -46,7 +46,7 @@ class Job(NamedTuple):
         try:
             function, arguments = pickle.loads(self.payload)
             return Outcome(function(*arguments))
-        except Exception as error:
+        except (Exception, SystemExit) as error:  # also code of the user's that calls sys.exit
             return Outcome(
                 error=f"{type(error).__name__}: {error}",
                 stopped=isinstance(error, RunStoppedError),

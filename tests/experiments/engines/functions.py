@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 import time
 from pathlib import Path
 
@@ -18,6 +19,14 @@ def process(_: object = None) -> int:
 
 def fail(message: str) -> None:
     raise ArithmeticError(message)
+
+
+def leave() -> None:
+    sys.exit(0)
+
+
+def interrupt() -> None:
+    raise KeyboardInterrupt
 
 
 def stop() -> None:

@@ -2,6 +2,8 @@ import pytest
 
 from deep_curiosity import requirements
 from deep_curiosity.experiments.engines import EngineArgs, LocalEngine, make_engine
+from deep_curiosity.experiments.engines.base import Outcome, make_job
+from tests.experiments.engines import functions
 
 
 @pytest.mark.parametrize(("name", "package"), [("ray", "ray"), ("slurm", "submitit")])
@@ -29,3 +31,15 @@ def test_processes_of_this_machine_are_the_default(tmp_path):
 def test_what_would_do_nothing_is_refused(options, message, tmp_path):
     with pytest.raises(ValueError, match=message):
         make_engine(EngineArgs(**options), tmp_path)
+
+
+def test_an_option_that_is_no_pair_is_refused_by_its_own_name(tmp_path):
+    message = "`engine_options` must be written as name=value, got 'foo'"
+    with pytest.raises(ValueError, match=message):
+        make_engine(EngineArgs(engine_options=("foo",)), tmp_path)
+
+
+def test_a_job_that_calls_sys_exit_has_failed_and_ctrl_c_is_no_failure():
+    assert make_job(functions.leave).run() == Outcome(error="SystemExit: 0")
+    with pytest.raises(KeyboardInterrupt):
+        make_job(functions.interrupt).run()

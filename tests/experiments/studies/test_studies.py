@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from deep_curiosity.experiments.grid import cells_of
+from deep_curiosity.experiments.grid import cells_of, check_measure
 from deep_curiosity.experiments.studies import (
     FOLDERS,
     comparisons,
@@ -31,6 +31,7 @@ STUDIES = {"own": Study([Task("maze", Config.of(env_id="PointMaze"))], {"default
 
 @pytest.mark.parametrize("name", OURS)
 def test_every_run_of_a_study_has_settings_that_can_be(tmp_path, name):
+    check_measure(OURS[name])
     cells = cells_of(replace(OURS[name], seeds=1), tmp_path / "runs" / name)
     assert len({cell.folder for cell in cells}) == len(cells)
     for cell in cells:
