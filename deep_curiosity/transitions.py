@@ -267,12 +267,14 @@ def check_transition(
     """Reject a transition whose shapes, kinds or values would spoil statistics for good.
 
     Raises:
-        TypeError: If a field has the wrong kind.
+        TypeError: If it is no `Transition`, or a field has the wrong kind.
         ValueError: If a field has the wrong shape or holds NaN or infinity, or the batch is empty.
             Not inside a compiled graph, which cannot look at values: check before.
     """
     if torch.compiler.is_compiling():
         return
+    if not isinstance(transition, Transition):  # no call where it is one, as in every update
+        check_transition_kind(transition)
     try:
         observation, action, reward, next_observation, terminated, truncated = transition
         batch = len(reward)
@@ -297,7 +299,6 @@ def _explain(
     transition: Transition, observation_dim: int, action_dim: int, dtype: torch.dtype
 ) -> None:
     """Say what is wrong with a transition, field by field; nothing where only a norm is large."""
-    check_transition_kind(transition)
     for name, dim in (
         ("observation", observation_dim),
         ("action", action_dim),

@@ -155,9 +155,9 @@ class CuriosityBonus(Bonus):
             observation_dim: Length of an observation.
             action_dim: Length of an action; actions lie in [-1, 1].
             hidden_dims: Width of every hidden layer of the models.
-            **options: Settings of `CuriosityConfig` and of its groups, by name; and `features`,
-                which may also be a function or module from observations to features: the models
-                then predict its value (see `DynamicsEnsemble`), and a module is frozen for good.
+            **options: Settings as `make_bonus` takes them, by name; and `features`, which may also
+                be a function or module from observations to features: the models then predict
+                its value (see `DynamicsEnsemble`), and a module is frozen for good.
 
         Raises:
             TypeError: If there is no such option.

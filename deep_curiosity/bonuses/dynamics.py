@@ -55,11 +55,12 @@ class DynamicsEnsemble(nn.Module):
             `noise_floor`: the resolution becomes coarser as the state lies further out.
         features: Maps observations to what of the next one is predicted, in units of its own; the
             whole observation when `None`. Inputs are whole observations either way. A module is
-            kept in `state_dict`, set to evaluation, and its parameters are frozen for good: what
-            is predicted must not run away from the prediction. Another callable that learns must
-            see to that itself. Both are called once here, in float32 on the CPU.
+            kept in `state_dict`, and frozen for good, its layers in evaluation whatever `train` is
+            told: what is predicted must not run away from the prediction. Another callable that
+            learns must see to that itself. Both are called once here, in float32 on the CPU.
 
     Raises:
+        TypeError: If `features` gives no tensor of the dtype it was given.
         ValueError: If `num_members` is below 2, a count, dimension or the floor is not positive,
             a choice is unknown, or `features` gives no batch of vectors.
     """
@@ -120,6 +121,13 @@ class DynamicsEnsemble(nn.Module):
         )
         self.register_buffer("held_out_nll", torch.tensor(math.nan))
         self.register_buffer("held_out_coverage", torch.tensor(math.nan))
+
+    def train(self, mode: bool = True) -> "DynamicsEnsemble":
+        """Switch all layers but those of `features`, which stay in evaluation."""
+        super().train(mode)
+        if isinstance(self.features, nn.Module):
+            self.features.eval()
+        return self
 
     def forward(
         self,
@@ -342,9 +350,14 @@ def count_features(features: Features, observation_dim: int) -> int:
     """Length of what `features` makes of an observation, found by calling it.
 
     Raises:
+        TypeError: If it makes no tensor of the dtype of the observations.
         ValueError: If it makes no batch of vectors.
     """
-    value = features(torch.zeros(2, observation_dim))
+    observation = torch.zeros(2, observation_dim)
+    value: object = features(observation)
+    if not isinstance(value, Tensor) or value.dtype != observation.dtype:
+        kind = value.dtype if isinstance(value, Tensor) else type(value).__name__
+        raise TypeError(f"`features` must return a tensor of {observation.dtype}, got {kind}.")
     if value.ndim != 2 or value.shape[0] != 2 or value.shape[1] == 0:
         raise ValueError(
             f"`features` must map observations (2, {observation_dim}) to (2, features), "

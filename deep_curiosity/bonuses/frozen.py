@@ -4,7 +4,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from deep_curiosity.bonuses.base import Bonus, Policy
-from deep_curiosity.transitions import Transition
+from deep_curiosity.transitions import Transition, check_transition_kind
 
 
 class FrozenBonus(Bonus):
@@ -16,8 +16,13 @@ class FrozenBonus(Bonus):
 
     def __init__(self, bonus: Bonus) -> None:
         super().__init__()
-        self.bonus = bonus.eval().requires_grad_(False)
+        self.bonus = bonus.requires_grad_(False)
+        self.eval()
         self.scores_outcomes = bonus.scores_outcomes  # type: ignore[misc]  # as the other does
+
+    def train(self, mode: bool = True) -> "FrozenBonus":
+        """Stay in evaluation, whatever the mode."""
+        return super().train(False)
 
     @property
     def ready(self) -> bool:
@@ -41,7 +46,8 @@ class FrozenBonus(Bonus):
 
     def loss(self, transition: Transition) -> Float[Tensor, ""]:
         """Zero: there is nothing to learn."""
-        return transition.reward.new_zeros(())
+        check_transition_kind(transition)
+        return transition.reward.new_zeros((), requires_grad=True)
 
     def observe(
         self,

@@ -57,29 +57,50 @@ class BonusLearner(nn.Module):
         Args:
             transition: A batch from replay, or the newest rollout.
             policy: Samples fresh actions at the batch's observations.
+
+        Raises:
+            TypeError: If it is no `Transition`.
+            RuntimeError: In inference mode, if there is something to learn.
         """
+        check_transition_kind(transition)
+        self._check_mode()
         observes = not self.bonus.should_skip
-        self.bonus.observe(transition, policy)
+        watched = None if policy is None else _WatchedPolicy(policy)
+        self.bonus.observe(transition, watched)
         if observes and not self._has_warned:
-            self._look_at_unit(transition.action)
+            fresh = [] if watched is None else watched.actions
+            self._look_at_unit(transition.action, *fresh)
         if not self.every.should_skip:
             self.step(transition)
         self.every.count()
 
-    def _look_at_unit(self, action: Tensor) -> None:
+    def _look_at_unit(self, *actions: Tensor) -> None:
         """Warn of actions beyond [-1, 1], among which the models tell little apart."""
-        farthest = action.abs().max().item()
+        farthest = max(action.abs().max().item() for action in actions)
         if farthest <= MOST_ACTION:
             return
         self._has_warned = True
         warnings.warn(
-            f"`action` should lie in [-1, 1], got {farthest:g}: bring actions there, by the "
-            "adapter's range of actions or gymnasium.wrappers.RescaleAction.",
+            f"`action` should lie in [-1, 1], got {farthest:g}: bring actions there, those of "
+            "`policy` too, by the adapter's range of actions or gymnasium.wrappers.RescaleAction.",
             stacklevel=3,
         )
 
+    def _check_mode(self) -> None:
+        """Reject learning where torch keeps no gradients and cannot be told to."""
+        if self.optimizer is not None and torch.is_inference_mode_enabled():
+            raise RuntimeError(
+                "`learn` must be called outside of torch.inference_mode, in which there are no "
+                "gradients, got it switched on: torch.no_grad may take its place."
+            )
+
     def step(self, transition: Transition) -> Float[Tensor, ""]:
-        """Take a gradient step on the networks of the bonus; return the loss before it."""
+        """Take a gradient step on the networks of the bonus; return the loss before it.
+
+        Raises:
+            RuntimeError: In inference mode, if there is something to learn.
+        """
+        self._check_mode()
         with torch.enable_grad():
             loss = self.bonus.loss(transition)
             if self.optimizer is not None:
@@ -95,6 +116,19 @@ class BonusLearner(nn.Module):
 
     def _trained_parameters(self) -> list[nn.Parameter]:
         return [part for part in self.bonus.parameters() if part.requires_grad]
+
+
+class _WatchedPolicy:
+    """A policy, and the actions it was asked for."""
+
+    def __init__(self, policy: Policy) -> None:
+        self.policy = policy
+        self.actions: list[Tensor] = []
+
+    def __call__(self, observation: Tensor) -> Tensor:
+        action = self.policy(observation)
+        self.actions.append(action)
+        return action
 
 
 def _step_what_was_loaded(learner: BonusLearner, _: object) -> None:

@@ -2,6 +2,7 @@
 
 import math
 
+import jaxtyping
 import pytest
 import torch
 
@@ -82,3 +83,19 @@ def test_a_compiled_bonus_looks_at_no_value(name: str, monkeypatch: pytest.Monke
     monkeypatch.setattr(torch.compiler, "is_compiling", lambda: True)
     monkeypatch.setattr(torch.linalg, "vector_norm", lambda value: pytest.fail("looked at"))
     assert bonus(**asked).shape == (ROWS,)
+
+
+@pytest.mark.parametrize("name", BONUSES)
+@pytest.mark.parametrize("ask", ["loss", "observe", "visited"])
+def test_a_plain_tuple_is_no_transition(name: str, ask: str) -> None:
+    jaxtyping.config.update("jaxtyping_disable", True)  # whose own error would come first
+    bonus = make_bonus(name, 3, 2, hidden_dims=(8,))
+    flags = torch.zeros(ROWS, dtype=torch.bool)
+    rows = Transition(*pair(), torch.randn(ROWS), torch.randn(ROWS, 3), flags, flags)
+    if ask == "visited" and not getattr(bonus, "follows_visits", True):
+        return
+    with pytest.raises(TypeError, match="`transition` must be a Transition, got tuple"):
+        if ask == "visited":
+            bonus.observe(rows, visited=tuple(rows))
+        else:
+            getattr(bonus, ask)(tuple(rows))

@@ -497,6 +497,36 @@ def test_features_that_are_no_vectors_or_not_finite_are_rejected():
     assert all(before[name].nan_to_num().equal(after[name].nan_to_num()) for name in before)
 
 
+def test_layers_of_features_stay_in_evaluation():
+    features = torch.nn.Sequential(torch.nn.BatchNorm1d(3), torch.nn.Dropout(0.5))
+    owner = torch.nn.ModuleList([small_ensemble(features=features)])
+    rows = random_transition(16)
+    before = owner[0](rows.observation, rows.action).loc
+    for switch in (owner.train, lambda: owner.train(False), owner[0].train):
+        assert switch() is owner or switch() is owner[0]
+        assert owner[0](rows.observation, rows.action).loc.equal(before)
+        assert not any(part.training for part in features.modules())
+    assert owner[0].network.training
+    assert features[0].running_mean.eq(0).all()
+
+
+@pytest.mark.parametrize(
+    ("features", "kind"),
+    [
+        (lambda x: x.double(), "torch.float64"),
+        (lambda x: x.long(), "torch.int64"),
+        (lambda x: x.numpy(), "ndarray"),
+        (lambda x: x.tolist(), "list"),
+        (lambda x: None, "NoneType"),
+    ],
+)
+def test_features_that_are_no_tensors_of_the_same_dtype_are_rejected(features, kind):
+    with pytest.raises(
+        TypeError, match=f"`features` must return a tensor of torch.float32, got {kind}"
+    ):
+        small_ensemble(features=features)
+
+
 @pytest.mark.parametrize("batch", [1, 2, 7])
 def test_in_round_robin_order_each_row_is_predicted_by_one_member(batch):
     ensemble = small_ensemble(mixture_components=2)

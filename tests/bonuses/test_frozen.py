@@ -1,3 +1,4 @@
+import jaxtyping
 import pytest
 import torch
 
@@ -55,3 +56,20 @@ def test_the_gradient_in_the_action_is_the_bonus_own():
 
 def test_one_that_has_seen_nothing_is_not_ready():
     assert not FrozenBonus(make_bonus("curiosity", 3, 2, hidden_dims=(8,))).ready
+
+
+@pytest.mark.parametrize("name", BONUSES)
+def test_its_loss_is_a_zero_that_can_be_differentiated(name):
+    frozen = FrozenBonus(shown(name))
+    loss = frozen.loss(batch())
+    loss.backward()
+    assert loss.item() == 0
+    jaxtyping.config.update("jaxtyping_disable", True)  # whose own error would come first
+    with pytest.raises(TypeError, match="`transition` must be a Transition, got tuple"):
+        frozen.loss(tuple(batch()))
+
+
+def test_it_stays_in_evaluation():
+    frozen = FrozenBonus(shown("rnd"))
+    torch.nn.ModuleList([frozen]).train()
+    assert not any(part.training for part in frozen.modules())

@@ -1,5 +1,6 @@
 from copy import deepcopy
 
+import jaxtyping
 import pytest
 import torch
 
@@ -99,3 +100,30 @@ def test_actions_in_another_unit_are_told_of_once():
     with pytest.warns(UserWarning, match=r"`action` should lie in \[-1, 1\], got 100: bring"):
         learner.learn(batch(-100.0))
     learner.learn(batch(-100.0))
+
+
+def test_fresh_actions_in_another_unit_are_told_of_once():
+    bonus = make_bonus("curiosity", 3, 2, hidden_dims=(8,), refresh_interval=1)
+    learner = BonusLearner(bonus)
+    learner.learn(transition(), lambda observation: torch.ones(len(observation), 2))
+    with pytest.warns(UserWarning, match=r"`action` should lie in \[-1, 1\], got 50: .*`policy`"):
+        learner.learn(transition(), lambda observation: torch.full((len(observation), 2), -50.0))
+    learner.learn(transition(), lambda observation: torch.full((len(observation), 2), -50.0))
+
+
+def test_it_cannot_learn_in_inference_mode_and_says_so():
+    learner = small()
+    before = deepcopy(learner.state_dict())
+    with torch.inference_mode():
+        for learn in (learner.learn, learner.step):
+            with pytest.raises(RuntimeError, match="`learn` must be called outside of"):
+                learn(transition())
+        BonusLearner(ConstantBonus(0.5)).learn(transition())  # has nothing to learn
+    for name, value in learner.state_dict().items():
+        torch.testing.assert_close(value, before[name], rtol=0, atol=0, equal_nan=True)
+
+
+def test_a_plain_tuple_is_no_transition():
+    jaxtyping.config.update("jaxtyping_disable", True)  # whose own error would come first
+    with pytest.raises(TypeError, match="`transition` must be a Transition, got tuple"):
+        small().learn(tuple(transition()))

@@ -2,7 +2,9 @@ import pytest
 import torch
 
 from deep_curiosity.bonuses import BonusLearner
-from deep_curiosity.bonuses.registry import BONUSES, make_bonus
+from deep_curiosity.bonuses.config import bonus_config
+from deep_curiosity.bonuses.registry import BONUSES, OF_THE_LOOP, make_bonus
+from deep_curiosity.configuration import flat
 from deep_curiosity.transitions import Transition
 
 
@@ -37,6 +39,27 @@ def test_settings_are_given_by_their_flat_names():
     assert bonus.standardization.weight == 0.3
     assert bonus.dynamics.num_members == 2
     assert len(bonus.marginal.loc) == 8
+
+
+@pytest.mark.parametrize(
+    ("name", "setting", "instead"),
+    [
+        ("curiosity", "model_learning_rate", "give `learning_rate` to the BonusLearner"),
+        ("rnd", "model_learning_rate", "give `learning_rate` to the BonusLearner"),
+        ("curiosity", "marginal_half_life", "show `observe` what was visited of late"),
+    ],
+)
+def test_settings_that_only_the_trainer_reads_are_refused(name, setting, instead):
+    message = f"`{setting}` must be left out, got 0.001: only the trainer reads it; {instead}"
+    with pytest.raises(TypeError, match=message):
+        make_bonus(name, 3, 2, **{setting: 1e-3})
+    with pytest.raises(TypeError) as caught:
+        make_bonus(name, 3, 2, luck=1)
+    assert setting not in str(caught.value)
+
+
+def test_the_settings_that_only_the_trainer_reads_are_there():
+    assert {name for kind in BONUSES for name in flat(bonus_config(kind))} >= set(OF_THE_LOOP)
 
 
 def test_features_of_curiosity_may_be_entries_or_a_function():

@@ -1,5 +1,6 @@
 import pickle
 from collections.abc import Callable
+from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +30,7 @@ from deep_curiosity.integrations.stable_baselines3 import (
     StableBaselinesIntegration,
     StableBaselinesOnPolicyIntegration,
 )
+from deep_curiosity.integrations.stable_baselines3.spaces import bounded_space, scaled
 from deep_curiosity.transitions import Transition
 
 SMALL = {
@@ -591,7 +593,12 @@ class Discrete(Clock):
     action_space = spaces.Discrete(2)
 
 
+class Bytes(Clock):
+    action_space = spaces.Box(0, 255, (2,), dtype=np.uint8)
+
+
 FLAT = np.array([0.0, 1.0], np.float32)
+WIDTH = "`action_space` must have a finite and positive `high - low` in float32, got Box"
 
 
 @pytest.mark.parametrize(
@@ -609,6 +616,17 @@ FLAT = np.array([0.0, 1.0], np.float32)
                 20, Clock.observation_space, spaces.Box(np.zeros(2, np.float32), FLAT)
             ),
             "`action_space` must have `low` below `high`",
+        ),
+        (lambda: bounded_space(spaces.Box(-3e38, 3e38, (2,))), WIDTH),
+        (lambda: bounded_space(spaces.Box(-1e300, 1.0, (1,), np.float64)), WIDTH),
+        (lambda: bounded_space(spaces.Box(1.0, 1.0 + 1e-12, (1,), np.float64)), WIDTH),
+        (
+            lambda: bounded_space(spaces.Box(-100, 100, (2,), np.int8)),
+            r"`action_space` must be of a floating dtype, got Box\(-100, 100, \(2,\), int8\)",
+        ),
+        (
+            lambda: make_agent(env=Bytes()),
+            "`action_space` must be of a floating dtype, got Box.*uint8",
         ),
         (
             lambda: make_agent(env=Image(), policy="CnnPolicy"),
@@ -648,6 +666,19 @@ FLAT = np.array([0.0, 1.0], np.float32)
 def test_what_cannot_work_is_refused_at_the_door(make: Callable[[], Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         make()
+
+
+@pytest.mark.parametrize("dtype", [np.float16, np.float32, np.float64])
+def test_actions_are_scaled_by_a_width_that_their_dtype_may_not_hold(dtype: type) -> None:
+    space = spaces.Box(dtype(-6e4), dtype(6e4), (1,), dtype)
+    action = np.array([space.low, np.zeros(1, dtype), space.high])
+    assert scaled(action, space).flatten().tolist() == [-1.0, 0.0, 1.0]
+
+
+@pytest.mark.parametrize("name", ["model_learning_rate", "marginal_half_life"])
+def test_a_setting_that_only_the_trainer_reads_is_refused(name: str) -> None:
+    with pytest.raises(TypeError, match=f"`{name}` must be left out, got 0.5: only the trainer"):
+        make_agent(options={"bonus_kwargs": {name: 0.5}})
 
 
 def test_an_unknown_setting_of_the_bonus_is_answered_with_those_there_are() -> None:
@@ -733,6 +764,30 @@ def test_the_check_gives_logger_counts_and_length_of_rollouts_back(kind: str) ->
     agent.learn(8, callback=CuriosityCallback(), reset_num_timesteps=False)
     if kind == "PPO":
         assert agent.num_timesteps == before[0] + agent.n_steps * agent.n_envs
+
+
+@pytest.mark.parametrize("kind", ["SAC", "PPO"])
+def test_an_agent_keeps_its_logger_its_random_actions_and_its_bonus_the_actor(kind: str) -> None:
+    checked = integrations(kind)
+    agent, attachment = checked.model, checked._attachment
+    agent.set_logger(own := Logger(None, []))
+    agent.action_space.seed(3)
+    expected = deepcopy(agent.action_space).sample()
+    for part in (lambda: checked.collect(30, seed=0), lambda: checked.learn(seed=0)):
+        assert agent.logger is own
+        part()
+    assert agent.logger is own and agent._custom_logger
+    checked.release()
+    assert attachment.actor is None
+    assert np.array_equal(agent.action_space.sample(), expected)
+
+
+def test_an_agent_without_a_logger_stays_without() -> None:
+    checked = integrations("SAC")
+    before = set(vars(checked.model))
+    checked.collect(30, seed=0)
+    checked.learn(seed=0)
+    assert "_logger" not in before and not checked.model._custom_logger
 
 
 @pytest.mark.parametrize("kind", ["SAC", "TD3", "PPO"])

@@ -1,5 +1,6 @@
 """Laws of the torchrl adapter, with bonuses whose values are known."""
 
+import math
 import sys
 import warnings
 from collections.abc import Callable
@@ -595,9 +596,39 @@ def test_critics_given_as_a_list_are_taken():
 
 
 def test_td_error_is_written_for_prioritized_replay():
+    loss = make_loss(CuriousActorCriticLoss, LevelBonus(7.0))
+    zero_last_layers(loss.qvalue_network_params, bias=2.0)
+    with torch.no_grad():  # which of two critics errs most depends on the row
+        loss.qvalue_network_params["module", "network", "2", "bias"][1] = -1.0
+    zero_last_layers(loss.target_qvalue_network_params, bias=3.0)
+    loss.make_value_estimator(gamma=0.9)
     batch = make_batch()
+    batch["next", "terminated"][: BATCH // 2] = True
+    loss(batch)
+    target = batch["next", "reward"].flatten()  # of the reward alone; there is no price here
+    target[BATCH // 2 :] += 0.9 * 3.0
+    expected = torch.maximum((2.0 - target).abs(), (-1.0 - target).abs())
+    torch.testing.assert_close(batch["td_error"], expected)
+
+
+def test_a_batch_keeps_all_else_as_it_is():
+    batch = make_batch()
+    before = set(batch.keys(True, True))
     make_loss(CuriousActorCriticLoss, LevelBonus())(batch)
-    assert batch["td_error"].shape == (BATCH,)
+    assert set(batch.keys(True, True)) - before == {"td_error"}
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_an_actor_that_knows_no_range_acts_between_minus_one_and_one():
+    plain, critic = make_networks()
+    actor = ProbabilisticActor(
+        plain[0],
+        in_keys=["loc", "scale"],
+        distribution_class=TanhNormal,
+        return_log_prob=True,
+    )
+    loss = CuriousActorCriticLoss(actor, critic, LevelBonus(), action_spec=None)
+    assert (loss.box.low.item(), loss.box.high.item()) == (-1.0, 1.0)
 
 
 def test_curiosity_that_is_not_ready_counts_as_zero():
@@ -769,6 +800,24 @@ def test_an_empty_range_is_refused():
         BonusLoss(LevelBonus(), low=1.0, high=1.0)
 
 
+WIDE = torch.tensor(-1e300, dtype=torch.float64)
+
+
+@pytest.mark.parametrize(("low", "high"), [(-3e38, 3e38), (WIDE, 0.0)])
+def test_a_range_wider_than_float32_holds_is_refused(low: float | Tensor, high: float):
+    with pytest.raises(ValueError, match="`low` must be finite and below `high`, got"):
+        CuriosityTransform(LevelBonus(), low=low, high=high)
+
+
+def test_small_whole_actions_have_their_whole_range():
+    spec = Bounded(-128, 127, (1,), dtype=torch.int8)
+    batch = make_batch(2)
+    batch["action"] = torch.tensor([[-128], [127]], dtype=torch.int8)
+    transform = CuriosityTransform(LevelBonus(0.0, slope=1.0), action_spec=spec)
+    bonus = transform(batch)["next", "curiosity"]
+    torch.testing.assert_close(bonus, torch.tensor([[-1.0], [1.0]]))
+
+
 def test_a_reward_of_another_shape_is_refused():
     batch = make_batch()
     batch["next", "reward"] = torch.zeros(BATCH, 2)
@@ -793,7 +842,13 @@ def test_a_missing_clock_is_taken_for_none():
     ("options", "message"),
     [
         ({"curiosity_discount": 1.0}, r"`curiosity_discount` must lie in \[0, 1\), got 1.0"),
+        ({"curiosity_discount": "x"}, r"`curiosity_discount` must lie in \[0, 1\), got 'x'"),
         ({"hunger": -1.0}, "`hunger` must be finite and not negative, got -1.0"),
+        ({"hunger": None}, "`hunger` must be finite and not negative, got None"),
+        (
+            {"target_information_rate": math.nan},
+            "`target_information_rate` must be a finite number or None, got nan",
+        ),
         (
             {"bonus": StepBonus(), "curiosity_discount": 0.0},
             "`curiosity_discount` must be above 0 with a bonus that scores outcomes",
@@ -802,8 +857,18 @@ def test_a_missing_clock_is_taken_for_none():
 )
 @pytest.mark.filterwarnings("ignore")
 def test_numbers_out_of_range_are_refused(options: dict, message: str):
-    with pytest.raises(Exception, match=message):
+    with pytest.raises(ValueError, match=message):
         make_loss(CuriousActorCriticLoss, **options)
+
+
+@pytest.mark.parametrize("hunger", [math.nan, math.inf, -1.0, None, "x", torch.tensor(-1.0)])
+def test_a_hunger_that_is_none_is_refused_at_any_step(hunger: object):
+    loss = make_loss(CuriousActorCriticLoss, LevelBonus(), hunger=0.5)
+    with pytest.raises(ValueError, match="`hunger` must be finite and not negative, got"):
+        loss.hunger = hunger
+    assert loss.hunger.item() == 0.5
+    loss.hunger = torch.tensor(0.25)
+    assert loss.hunger.item() == 0.25 and "hunger" in loss.state_dict()
 
 
 def test_options_that_mean_nothing_here_are_refused():

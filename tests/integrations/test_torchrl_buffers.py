@@ -1,14 +1,25 @@
 """In whatever torchrl buffer, a bonus learns raw single steps, or says what is wrong."""
 
+from collections.abc import Callable
+from functools import partial
+
 import pytest
 import torch
-from tensordict import TensorDict
-from torchrl.data import LazyTensorStorage, ListStorage, TensorDictReplayBuffer
+from tensordict import TensorDict, lazy_stack
+from torchrl.data import (
+    LazyStackStorage,
+    LazyTensorStorage,
+    ListStorage,
+    TensorDictReplayBuffer,
+)
 from torchrl.data.replay_buffers.samplers import SliceSampler
-from torchrl.envs import ParallelEnv, SerialEnv, Transform
+from torchrl.envs import ParallelEnv, SerialEnv, Transform, TransformedEnv
 from torchrl.envs.transforms import (
+    CatFrames,
     CatTensors,
+    Compose,
     DoubleToFloat,
+    DTypeCastTransform,
     MultiStepTransform,
     ObservationNorm,
     RewardClipping,
@@ -20,7 +31,7 @@ from deep_curiosity.bonuses import BonusLearner
 from deep_curiosity.integrations.torchrl import BonusLoss, CuriosityTransform
 from deep_curiosity.replay import ReplayBuffer
 from deep_curiosity.transitions import Transition
-from tests.integrations.test_torchrl import LevelBonus, make_env
+from tests.integrations.test_torchrl import LevelBonus, StepBonus, make_env
 
 NUM_ENVS, NUM_STEPS = 3, 7
 
@@ -87,6 +98,39 @@ def test_what_is_learned_is_the_raw_successor_of_one_step(options: dict) -> None
     assert not batch.terminated.any()
 
 
+def lazily_stored(kind: type) -> TensorDictReplayBuffer:
+    """A buffer whose samples are its own rows, side by side, as where they differ in length."""
+    buffer = TensorDictReplayBuffer(storage=kind(100), batch_size=8)
+    rows = list(steps(20).unbind(0))
+    for number, row in enumerate(rows):
+        row["ragged"] = torch.zeros(1 + number % 3)
+    buffer.extend(lazy_stack(rows))
+    return buffer
+
+
+def rows_of(buffer: TensorDictReplayBuffer) -> list[TensorDict]:
+    """What is stored, but for what torchrl writes there itself."""
+    return [buffer.storage.get(row).exclude("index") for row in range(len(buffer))]
+
+
+@pytest.mark.parametrize("kind", [LazyStackStorage, ListStorage])
+@pytest.mark.parametrize("add_to_reward", [True, False])
+def test_storages_that_hand_out_what_they_hold_stay_as_they_were(
+    kind: type, add_to_reward: bool
+) -> None:
+    buffer = lazily_stored(kind)
+    before = [held.clone() for held in rows_of(buffer)]
+    transform = CuriosityTransform(LevelBonus(0.5), add_to_reward=add_to_reward)
+    buffer.append_transform(transform)
+    assert (buffer[3]["next", "curiosity"] == 0.5).all()
+    for _ in range(50):
+        sample = buffer.sample()
+        bonus = sample["next", "reward"] - sample["observation"] / 2
+        torch.testing.assert_close(bonus, torch.full((8, 1), 0.5 * add_to_reward))
+    for now, held in zip(rows_of(buffer), before, strict=True):
+        assert (now == held).all() and set(now["next"].keys()) == set(held["next"].keys())
+
+
 @pytest.mark.parametrize("make", [SerialEnv, pytest.param(ParallelEnv, marks=pytest.mark.slow)])
 def test_the_rollout_of_several_environments_is_learned_step_by_step(make: type) -> None:
     env = make(2, make_env)
@@ -116,6 +160,61 @@ def test_what_changes_the_numbers_must_come_after_the_bonus(
         ValueError, match=f"`transform` must come before .* got {name} of .*append the Curiosity"
     ):
         shown(make_buffer(), transform)
+
+
+def test_what_changes_the_numbers_is_found_within_others() -> None:
+    outer = Compose(Compose(ObservationNorm(0.0, 2.0, ["observation"])), Compose(own := curious()))
+    message = "`transform` must come before .* got ObservationNorm of .*observation"
+    with pytest.raises(ValueError, match=message):
+        outer(steps(5))
+    Compose(Compose(own.clone()), RewardScaling(0.0, 2.0, [("next", "reward")]))(steps(5))
+
+
+def curious() -> CuriosityTransform:
+    return CuriosityTransform(LevelBonus())
+
+
+KEY = ["observation"]
+NORM = partial(ObservationNorm, 0.0, 2.0, KEY)
+
+
+@pytest.mark.parametrize(
+    "arrange",
+    [
+        lambda: Compose(curious(), NORM()),
+        lambda: Compose(Compose(curious()), Compose(NORM())),
+        lambda: Compose(curious(), CatFrames(2, -1, ["observation"])),
+    ],
+)
+def test_in_an_environment_nothing_may_rewrite_observations_after_the_bonus(
+    arrange: Callable[[], Compose],
+) -> None:
+    env = TransformedEnv(make_env(), arrange())
+    with pytest.raises(ValueError, match=r"must come after all .* of 'observation' behind it"):
+        env.rollout(2)
+
+
+def test_in_an_environment_a_wrapper_around_it_is_looked_at_too() -> None:
+    env = TransformedEnv(TransformedEnv(make_env(), curious()), NORM(), auto_unwrap=True)
+    with pytest.raises(ValueError, match="got ObservationNorm of 'observation' behind it"):
+        env.rollout(2)
+
+
+@pytest.mark.parametrize(
+    "arrange",
+    [
+        lambda own: Compose(NORM(), own),
+        lambda own: Compose(own, RewardScaling(0.0, 2.0)),
+        lambda own: Compose(own, DTypeCastTransform(torch.float32, torch.float64, KEY)),
+    ],
+)
+def test_in_an_environment_the_bonus_is_given_both_observations_in_one_unit(
+    arrange: Callable[[CuriosityTransform], Compose],
+) -> None:
+    bonus = StepBonus()
+    rollout = TransformedEnv(make_env(), arrange(CuriosityTransform(bonus))).rollout(5)
+    moved = (rollout["next", "observation"] - rollout["observation"]).sum(-1, keepdim=True)
+    torch.testing.assert_close(rollout["next", "curiosity"], moved, check_dtype=False)
 
 
 def test_what_changes_the_numbers_may_come_after_the_bonus() -> None:

@@ -14,6 +14,7 @@ from deep_curiosity.transitions import (
     check_counts,
     check_inputs,
     check_transition,
+    check_transition_kind,
     every_second,
 )
 
@@ -129,6 +130,7 @@ class BaselineBonus(Bonus):
         self._check(transition)
         scored, late = transition, transition
         if visited is not None and self.follows_visits:
+            check_transition_kind(visited)
             late = visited
             has_none = isinstance(late.action, Tensor) and len(late.action) == 0
             if not has_none:  # nothing new may have been visited

@@ -36,7 +36,7 @@ class ConstantBonus(Bonus):
         check_inputs(
             self.value.dtype, **{key: (value, _length(value)) for key, value in pair.items()}
         )
-        return self.value.expand(observation.shape[0])
+        return self.value.expand(observation.shape[0]).clone()  # which anyone may change in place
 
     def loss(self, transition: Transition) -> Float[Tensor, ""]:
         """Zero: there is nothing to learn."""

@@ -1,13 +1,15 @@
 """Experiments that show whether a bonus works inside an agent."""
 
 import math
-from collections.abc import Callable
-from contextlib import ExitStack
+import random
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -32,12 +34,12 @@ def check_integration(agent: Integration, *, num_steps: int = 400, seed: int = 0
     Args:
         agent: With its bonus; it is left a little further in its training.
         num_steps: Environment steps to collect; enough for an episode to be cut off by its clock.
-        seed: Of all random numbers.
+        seed: Of all random numbers. The global streams go on as if nothing had been drawn.
 
     Returns:
         The lines `finite`, `not constant`, `raw`, `ends`, `targets`, `fresh`, `actor` and `state`.
     """
-    with TemporaryDirectory() as name, ExitStack() as stack:
+    with _own_randomness(), TemporaryDirectory() as name, ExitStack() as stack:
         stack.callback(agent.release)
         folder = Path(name)
         given = agent.collect(num_steps, seed=seed)
@@ -48,6 +50,18 @@ def check_integration(agent: Integration, *, num_steps: int = 400, seed: int = 0
         spoiled = Finding("state", None, "the agent has learned from no numbers", "see above")
         state = _check_state(agent, folder / "after", seed) if values[0].passed else spoiled
     return Report((*values, *others, state))
+
+
+@contextmanager
+def _own_randomness() -> Iterator[None]:
+    """Seed at will: outside, all global streams of random numbers go on where they were."""
+    plain, arrays = random.getstate(), np.random.get_state()  # noqa: NPY002  # agents draw there
+    try:
+        with torch.random.fork_rng(range(torch.cuda.device_count())):
+            yield
+    finally:
+        random.setstate(plain)
+        np.random.set_state(arrays)  # noqa: NPY002
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,7 @@
 """Agents of Stable-Baselines3 as the check of an integration handles them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
@@ -27,8 +28,8 @@ from deep_curiosity.transitions import Transition
 
 Agent = TypeVar("Agent", bound=BaseAlgorithm)
 MODEL, BUFFER = "model.zip", "buffer.pkl"
-CHANGED = ("_logger", "_custom_logger", "num_timesteps")
-"""Attributes of an agent that the check needs otherwise."""
+LOGGING = ("_logger", "_custom_logger")
+"""Attributes of an agent that are others while it is checked."""
 
 
 class _Integration(Integration, Generic[Agent]):
@@ -42,8 +43,7 @@ class _Integration(Integration, Generic[Agent]):
     def __init__(self, model: Agent, make_env: Callable[[], Any]) -> None:
         self.model = model
         self.make_env = make_env
-        self._of_the_user = {name: vars(model).get(name) for name in CHANGED}
-        model.set_logger(configure(format_strings=[]))
+        self._of_the_user: tuple[Any, ...] | None = None  # known while the check has changed it
 
     @property
     def bonus(self) -> Bonus:
@@ -54,7 +54,8 @@ class _Integration(Integration, Generic[Agent]):
         """Reset the environments, and let the agent act for some steps of all of them."""
         env = self.model.get_env()
         assert env is not None
-        with recorded(env.unwrapped, self._attachment) as steps:
+        self._remember()
+        with self._quiet(), recorded(env.unwrapped, self._attachment) as steps:
             self.model.set_random_seed(seed)
             _, callback = self.model._setup_learn(num_steps, CuriosityCallback())
             callback.on_training_start({}, {})
@@ -62,8 +63,30 @@ class _Integration(Integration, Generic[Agent]):
         return Transition(*(torch.cat(field) for field in zip(*steps, strict=True)))
 
     def release(self) -> None:
-        """Give the agent its logger and its count of steps back."""
-        vars(self.model).update(self._of_the_user)
+        """Give the agent its count of steps, its random actions and the bonus its actor back."""
+        if self._of_the_user is not None:
+            self.model.num_timesteps, random, self._attachment.actor = self._of_the_user
+            self.model.action_space._np_random = random
+            self._of_the_user = None
+
+    def _remember(self) -> None:
+        """Keep what collecting changes of the agent, as it was before the first time."""
+        if self._of_the_user is None:
+            random = self.model.action_space._np_random  # which seeding replaces
+            self._of_the_user = self.model.num_timesteps, random, self._attachment.actor
+
+    @contextmanager
+    def _quiet(self) -> Iterator[None]:
+        """Let the agent log nothing meanwhile."""
+        own = vars(self.model)
+        before = {name: own[name] for name in LOGGING if name in own}
+        self.model.set_logger(configure(format_strings=[]))
+        try:
+            yield
+        finally:
+            for name in LOGGING:
+                del own[name]
+            own.update(before)
 
     def save(self, folder: Path) -> None:
         """Save agent and buffer, and with the buffer the bonus."""
@@ -102,7 +125,8 @@ class StableBaselinesIntegration(_Integration[OffPolicyAlgorithm]):
         """Update the critic until the actor, which may wait for it, was updated once."""
         set_random_seed(seed)
         num_updates = getattr(self.model, "policy_delay", 1)
-        self.model.train(gradient_steps=num_updates, batch_size=self.model.batch_size)
+        with self._quiet():
+            self.model.train(gradient_steps=num_updates, batch_size=self.model.batch_size)
 
     def critic(self) -> list[Tensor]:
         """Parameters of the critics, not of their slow copies."""
@@ -145,7 +169,7 @@ class StableBaselinesOnPolicyIntegration(_Integration[OnPolicyAlgorithm]):
         self._num_steps = model.n_steps, self._buffer.buffer_size
 
     def release(self) -> None:
-        """Give the agent its logger, its count of steps and its length of rollouts back."""
+        """Give the agent its length of rollouts back too."""
         super().release()
         self.model.n_steps, self._buffer.buffer_size = self._num_steps
         self._buffer.reset()
@@ -163,7 +187,8 @@ class StableBaselinesOnPolicyIntegration(_Integration[OnPolicyAlgorithm]):
         dones = self.model._last_episode_starts
         assert dones is not None
         buffer.compute_returns_and_advantage(last_values, dones)
-        self.model.train()
+        with self._quiet():
+            self.model.train()
         vars(buffer).update(rollout)  # training has reordered it
 
     def critic(self) -> list[Tensor]:

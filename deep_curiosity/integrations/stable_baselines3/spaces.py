@@ -34,21 +34,32 @@ def bounded_space(space: spaces.Space) -> spaces.Box:
     """The action space, if its actions can be scaled to [-1, 1].
 
     Raises:
-        ValueError: If the actions are no vectors of bounded numbers.
+        ValueError: If the actions are no vectors of bounded real numbers, or the range of one is
+            empty or wider than float32 holds.
     """
     box = _vectors("action_space", space)
+    if not np.issubdtype(box.dtype, np.floating):
+        raise ValueError(f"`action_space` must be of a floating dtype, got {space}.")
     if not box.is_bounded():
         raise ValueError(f"`action_space` must be bounded, got {space}.")
     if not (box.low < box.high).all():
         raise ValueError(
             f"`action_space` must have `low` below `high` in every entry, got {space}."
         )
+    with np.errstate(over="ignore"):
+        width = box.high.astype(np.float32) - box.low.astype(np.float32)
+    if not (np.isfinite(width) & (width > 0)).all():
+        raise ValueError(
+            f"`action_space` must have a finite and positive `high - low` in float32, got {space}."
+        )
     return box
 
 
 def scaled(action: np.ndarray, space: spaces.Box) -> np.ndarray:
     """Actions within the bounds of a space, brought to [-1, 1]."""
-    return 2.0 * (action - space.low) / (space.high - space.low) - 1.0
+    dtype = np.promote_types(space.dtype, np.float32)  # narrower ones do not hold the width
+    low, high = space.low.astype(dtype), space.high.astype(dtype)
+    return (action - low) / (high - low) * 2.0 - 1.0
 
 
 def batch_of(values: np.ndarray, device: torch.device = CPU) -> Tensor:

@@ -17,16 +17,17 @@ class ActionBox:
         high: Highest action, likewise.
 
     Raises:
-        ValueError: If `low` is not below `high`, or one of them is not finite.
+        ValueError: If `low` is not below `high`, one of them is not finite, or the range is wider
+            than float32 holds.
     """
 
     def __init__(self, low: float | Tensor = -1.0, high: float | Tensor = 1.0) -> None:
-        self.low, self.high = torch.as_tensor(low), torch.as_tensor(high)
-        width = self.high - self.low
+        self.low, self.high = _real(low), _real(high)
+        width = self.high.float() - self.low.float()
         if not (torch.isfinite(width).all() and (width > 0).all()):
             raise ValueError(
                 "`low` must be finite and below `high`, "
-                f"got {self.low.tolist()} and {self.high.tolist()}."
+                f"got {self.low.tolist()} and {self.high.tolist()} in float32."
             )
 
     @classmethod
@@ -79,3 +80,9 @@ class ActionBox:
     def pre_action(self, action: Tensor) -> Tensor:
         """What the tanh was taken of, as far as the rounding of the action allows."""
         return torch.atanh(self.to_unit(action).clamp(-UNIT_EDGE, UNIT_EDGE))
+
+
+def _real(bound: float | Tensor) -> Tensor:
+    """A bound as real numbers: of small whole ones, the width would overflow."""
+    bound = torch.as_tensor(bound)
+    return bound if bound.is_floating_point() else bound.float()

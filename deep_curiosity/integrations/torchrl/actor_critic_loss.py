@@ -20,6 +20,7 @@ from deep_curiosity.integrations.torchrl.action_box import Key
 from deep_curiosity.integrations.torchrl.arguments import (
     action_box,
     check_differentiable,
+    check_hunger,
     check_numbers,
     check_options,
     target_entropy,
@@ -107,7 +108,7 @@ class CuriousActorCriticLoss(SACLoss):
         **options: Any,
     ) -> None:
         check_options(options)
-        check_numbers(curiosity_discount, hunger, prior)
+        check_numbers(curiosity_discount, hunger, prior, target_information_rate)
         check_differentiable(bonus, curiosity_discount)
         box = action_box(actor_network, action_spec)
         if target_information_rate is None and prior == "learned":
@@ -130,6 +131,13 @@ class CuriousActorCriticLoss(SACLoss):
             self._make_curiosity_critics(actor_network, qvalue_network, options)
         self.out_keys = self._written_keys()
         self.make_value_estimator()  # now, so that the state holds its discounts from the start
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        """Set an attribute, as `hunger`, which is checked."""
+        if name == "hunger":
+            check_hunger(value)
+            value = value if isinstance(value, Tensor) else float(value)
+        super().__setattr__(name, value)
 
     @property
     def bonus(self) -> Bonus | None:
@@ -223,7 +231,8 @@ class CuriousActorCriticLoss(SACLoss):
             set_exploration_type(ExplorationType.RANDOM),
             self.actor_network_params.to_module(self.actor_network, preserve_module_state=False),
         ):
-            policy = self.actor_network.get_dist(tensordict)
+            # which writes there, and a storage may hand out what it holds
+            policy = self.actor_network.get_dist(tensordict.clone(False))
             action, log_prob = compute_rsample_log_prob(policy)
         if self.prior is None:
             return ActionSample(action, log_prob, log_prob)

@@ -5,12 +5,14 @@ from inspect import signature
 from typing import Any, Literal
 
 from tensordict.nn import ProbabilisticTensorDictSequential
-from torchrl.data import TensorSpec
+from torch import Tensor
+from torchrl.data import Composite, TensorSpec
 from torchrl.objectives import SACLoss
 
 from deep_curiosity.agent.networks import PRIORS
 from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.integrations.torchrl.action_box import ActionBox
+from deep_curiosity.transitions import is_number
 
 REFUSED_OPTIONS = {"value_network", "target_entropy", "skip_done_states", "delay_actor"}
 """Keyword arguments of `SACLoss` that mean nothing here, or have another name."""
@@ -22,11 +24,12 @@ def action_box(
     actor_network: ProbabilisticTensorDictSequential, action_spec: TensorSpec | None
 ) -> ActionBox:
     """Range of the actions: as given, or as the actor has it, or else [-1, 1]."""
+    action_key = actor_network.dist_sample_keys[0]
     if action_spec is None:
         action_spec = getattr(actor_network, "spec", None)
-    if action_spec is None:
-        return ActionBox()
-    return ActionBox.from_spec(action_spec, actor_network.dist_sample_keys[0])
+        if isinstance(action_spec, Composite) and action_spec.get(action_key, None) is None:
+            action_spec = None  # an actor that was given none has an empty entry for it
+    return ActionBox() if action_spec is None else ActionBox.from_spec(action_spec, action_key)
 
 
 def target_entropy(
@@ -53,18 +56,39 @@ def check_options(options: dict[str, Any]) -> None:
         )
 
 
-def check_numbers(curiosity_discount: float, hunger: float, prior: str) -> None:
+def check_numbers(
+    curiosity_discount: float,
+    hunger: float,
+    prior: str,
+    target_information_rate: float | None,
+) -> None:
     """Reject what is out of range.
 
     Raises:
         ValueError: Naming the first of them and its value.
     """
-    if not 0 <= curiosity_discount < 1:
-        raise ValueError(f"`curiosity_discount` must lie in [0, 1), got {curiosity_discount}.")
-    if not 0 <= hunger < math.inf:
-        raise ValueError(f"`hunger` must be finite and not negative, got {hunger}.")
+    if not (is_number(curiosity_discount) and 0 <= curiosity_discount < 1):
+        raise ValueError(f"`curiosity_discount` must lie in [0, 1), got {curiosity_discount!r}.")
+    check_hunger(hunger)
     if prior not in PRIORS:
         raise ValueError(f"`prior` must be 'uniform' or 'learned', got {prior!r}.")
+    if not (target_information_rate is None or is_number(target_information_rate)):
+        raise ValueError(
+            "`target_information_rate` must be a finite number or None, "
+            f"got {target_information_rate!r}."
+        )
+
+
+def check_hunger(hunger: Any) -> None:
+    """Reject a weight of the extrinsic value that is none.
+
+    Raises:
+        ValueError: If it is no number, not finite or negative.
+    """
+    if isinstance(hunger, Tensor) and hunger.numel() == 1:
+        hunger = hunger.item()
+    if not (is_number(hunger) and hunger >= 0):
+        raise ValueError(f"`hunger` must be finite and not negative, got {hunger!r}.")
 
 
 def check_differentiable(bonus: Bonus | None, curiosity_discount: float) -> None:

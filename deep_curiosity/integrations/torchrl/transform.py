@@ -1,7 +1,6 @@
 """The bonus as a torchrl transform: fresh at every sample, whatever the storage holds."""
 
-from collections.abc import Iterator
-from itertools import takewhile
+from collections.abc import Iterable, Iterator
 from threading import RLock
 
 from tensordict import TensorDictBase
@@ -35,7 +34,8 @@ class CuriosityTransform(Transform):
     buffer by index passes through its transforms as well; `buffer.storage[...]` does not.
 
     In an environment the bonus of each step is written as one more reward and nothing is learned
-    or added. Until the bonus has observed a batch, it counts as zero.
+    or added. Until the bonus has observed a batch, it counts as zero. There, what changes
+    observations must come before it; in a buffer, after it.
 
     Args:
         bonus: A `BonusLearner`, which learns at each sample at its own pace, or a `Bonus`, which
@@ -91,7 +91,9 @@ class CuriosityTransform(Transform):
         return self.source.bonus if isinstance(self.source, BonusLearner) else self.source
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Learn from a sampled batch, if there is a learner, and write its bonus.
+        """Learn from a sampled batch, if there is a learner, and return it with its bonus.
+
+        What is given is left as it is: some storages hand out what they hold, and no copy.
 
         Raises:
             ValueError: If a transform before this one changes what it reads, or the outcomes are
@@ -99,6 +101,7 @@ class CuriosityTransform(Transform):
         """
         self._check_order()
         transition = self.reader.read(tensordict)
+        tensordict = tensordict.clone(False)
         next_tensordict = tensordict.get("next")
         reward = next_tensordict.get(self.reader.keys.reward)
         with ONE_AT_A_TIME:
@@ -114,7 +117,8 @@ class CuriosityTransform(Transform):
     def _check_order(self) -> None:
         """Reject transforms of the buffer that rewrite an entry before the bonus is given it."""
         own = {unravel_key(key) for key in self._read_keys()}
-        for transform in self._transforms_before():
+        before, _ = self._neighbours()
+        for transform in before:
             rewritten = {unravel_key(key) for key in transform.in_keys or []}
             rewritten &= {unravel_key(key) for key in transform.out_keys or []} & own
             if rewritten and not isinstance(transform, KEEPS_UNITS):
@@ -129,14 +133,42 @@ class CuriosityTransform(Transform):
         outcome = [("next", key) for name, key in keys.items() if name != "action"]
         return [keys["observation"], keys["action"], *outcome]
 
-    def _transforms_before(self) -> Iterator[Transform]:
-        """Transforms that a sampled batch passes before this one."""
-        container = self.__dict__["_container"]  # weakly; the property is for environments alone
-        pipeline = None if container is None else container()
-        if isinstance(pipeline, Compose):
-            yield from takewhile(lambda each: each is not self, pipeline.transforms)
+    def _check_order_of_environment(self) -> None:
+        """Reject transforms of the environment that rewrite an observation after this one.
+
+        A step begins at what they wrote, and its outcome comes to the bonus without them.
+        """
+        key = unravel_key(self.reader.keys.observation)
+        _, after = self._neighbours()
+        for transform in after:
+            written = {unravel_key(each) for each in transform.out_keys or []}
+            if key in written and not isinstance(transform, DTypeCastTransform):
+                raise ValueError(
+                    "`transform` must come after all that change what it reads, got "
+                    f"{type(transform).__name__} of {key!r} behind it: in an environment append "
+                    "the CuriosityTransform last."
+                )
+
+    def _neighbours(self) -> tuple[list[Transform], list[Transform]]:
+        """Transforms that data pass before this one and after it, whatever they are within."""
+        before: list[Transform] = []
+        after: list[Transform] = []
+        part: Transform = self
+        for pipeline in _pipelines_around(self):
+            parts = list(pipeline.transforms)
+            index = next((i for i, each in enumerate(parts) if each is part), len(parts))
+            before = [*_leaves(parts[:index]), *before]
+            after = [*after, *_leaves(parts[index + 1 :])]
+            part = pipeline
+        return before, after
 
     def _step(self, tensordict: TensorDictBase, next_tensordict: TensorDictBase) -> TensorDictBase:
+        """Write the bonus of a step of the environment.
+
+        Raises:
+            ValueError: If a transform after this one changes what it reads.
+        """
+        self._check_order_of_environment()
         transition = self.reader.read(tensordict, next_tensordict)
         reward = next_tensordict.get(self.reader.keys.reward)
         next_tensordict.set(self.out_keys[0], self.reader.compute(transition, like=reward))
@@ -151,3 +183,23 @@ class CuriosityTransform(Transform):
             device=like.device,
         )
         return reward_spec
+
+
+def _pipelines_around(transform: Transform) -> Iterator[Compose]:
+    """What a transform is within, from the inside out."""
+    while True:
+        container = transform.__dict__["_container"]  # weakly; the property is for environments
+        pipeline = None if container is None else container()
+        if not isinstance(pipeline, Compose):
+            return
+        yield pipeline
+        transform = pipeline
+
+
+def _leaves(transforms: Iterable[Transform]) -> Iterator[Transform]:
+    """Transforms in their order, those within others as well."""
+    for transform in transforms:
+        if isinstance(transform, Compose):
+            yield from _leaves(transform.transforms)
+        else:
+            yield transform

@@ -28,3 +28,9 @@ def test_the_constant_is_part_of_the_state():
     bonus = ConstantBonus(0.0)
     bonus.load_state_dict(ConstantBonus(0.7).state_dict())
     assert bonus(torch.zeros(1, 3), torch.zeros(1, 2)).item() == torch.tensor(0.7).item()
+
+
+def test_what_is_handed_out_may_be_changed_in_place():
+    bonus = ConstantBonus(0.5)
+    bonus(torch.zeros(3, 3), torch.zeros(3, 2)).mul_(5).add_(torch.arange(3.0))
+    assert bonus.value.item() == 0.5

@@ -1,3 +1,6 @@
+import random
+from contextlib import nullcontext
+
 import numpy as np
 import pytest
 import torch
@@ -98,6 +101,36 @@ def test_an_agent_that_cannot_learn_is_reported_with_its_error(config):
     agent.learner.update = lambda: torch.zeros(2) @ torch.zeros(3)
     report = check_integration(agent, num_steps=50)
     assert report["finite"].passed is False and "RuntimeError" in report["finite"].observed
+
+
+def drawn():
+    """What the global streams of random numbers would give next."""
+    streams = random.getstate(), np.random.get_state(), torch.get_rng_state()  # noqa: NPY002
+    numbers = random.random(), np.random.rand(), torch.rand(1).item()  # noqa: NPY002
+    random.setstate(streams[0])
+    np.random.set_state(streams[1])  # noqa: NPY002
+    torch.set_rng_state(streams[2])
+    return numbers
+
+
+class Seeding(LearnerIntegration):
+    """Seeds all there is, as agents of other libraries do, and may fail then."""
+
+    def collect(self, num_steps, *, seed):
+        random.seed(seed)
+        np.random.seed(seed)  # noqa: NPY002
+        if num_steps == 1:
+            raise KeyError("nothing to collect")
+        return super().collect(num_steps, seed=seed)
+
+
+@pytest.mark.parametrize("num_steps", [1, 50])
+def test_the_global_streams_go_on_as_if_nothing_had_been_drawn(config, num_steps):
+    agent = Seeding(config)
+    before = drawn()
+    with pytest.raises(KeyError) if num_steps == 1 else nullcontext():
+        check_integration(agent, num_steps=num_steps)
+    assert drawn() == before
 
 
 def test_a_run_without_a_bonus_cannot_be_checked(config):
