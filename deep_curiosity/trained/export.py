@@ -1,6 +1,9 @@
 """Policies that leave the house: as ONNX, as a torch program, or as safetensors with settings."""
 
+import io
 import logging
+import secrets
+import shutil
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -111,6 +114,7 @@ def export(
     Raises:
         FileExistsError: If there is something of this name.
         ImportError: If what the format needs is missing.
+        OSError: If it cannot be written; nothing is left of it.
         ValueError: If the format is unknown, or the run has no curious policy of its own.
     """
     out = Path(out).expanduser()
@@ -127,13 +131,29 @@ def export(
             f"which holds both, got True for {folder}."
         )
     out.parent.mkdir(parents=True, exist_ok=True)
-    if chosen == "safetensors":
-        _write_folder(trained, policy, out)
-    elif chosen == "onnx":
-        _write_onnx(Actor(policy, curious=curious).eval(), _example(policy), out)
-    else:
-        _write_program(Actor(policy, curious=curious).eval(), _example(policy), out)
+    with _written_whole(out) as partial:
+        if chosen == "safetensors":
+            _write_folder(trained, policy, partial)
+        elif chosen == "onnx":
+            _write_onnx(Actor(policy, curious=curious).eval(), _example(policy), partial)
+        else:
+            _write_program(Actor(policy, curious=curious).eval(), _example(policy), partial)
     return out
+
+
+@contextmanager
+def _written_whole(out: Path) -> Iterator[Path]:
+    """A path beside the one that is wanted, whose place it takes once all is written."""
+    partial = out.with_name(f"{out.name}.{secrets.token_hex(4)}.partial")
+    try:
+        yield partial
+        partial.replace(out)
+    except OSError as error:
+        raise OSError(f"`out` must be where all can be written, got {out}: {error}") from error
+    finally:
+        if partial.is_dir():
+            shutil.rmtree(partial)
+        partial.unlink(missing_ok=True)
 
 
 def _format_of(out: Path) -> Format:
@@ -165,7 +185,9 @@ def _example(policy: TrainedPolicy) -> dict[str, Tensor]:
 
 def _write_program(actor: Actor, example: dict[str, Tensor], out: Path) -> None:
     program = torch.export.export(actor, (), example, dynamic_shapes=_batch_sizes(example))
-    torch.export.save(program, out)
+    buffer = io.BytesIO()  # torch's own writer ends the process where the disk is full
+    torch.export.save(program, buffer)
+    out.write_bytes(buffer.getbuffer())
 
 
 def _write_onnx(actor: Actor, example: dict[str, Tensor], out: Path) -> None:

@@ -91,13 +91,16 @@ def save_checkpoint(
     sync_folder(folder)
 
 
-def load_checkpoint(folder: Path, *, mend: bool = False) -> dict[str, Any]:
+def load_checkpoint(
+    folder: Path, *, mend: bool = False, argument: str = "folder"
+) -> dict[str, Any]:
     """Read the newest checkpoint, or, with a warning, the one before it where that is damaged.
 
     Args:
         folder: Of the run.
         mend: Put the one before in the place of a newest one that is damaged, so that it is not
             lost when the next is saved.
+        argument: That named the folder, for errors.
 
     Raises:
         FileNotFoundError: If the folder holds no checkpoint, or none that is whole.
@@ -118,7 +121,7 @@ def load_checkpoint(folder: Path, *, mend: bool = False) -> dict[str, Any]:
                 path.replace(folder / NEWEST)
         return state
     raise FileNotFoundError(
-        f"`resume` must name a folder with a readable checkpoint, got {folder}: "
+        f"`{argument}` must name a folder with a readable checkpoint, got {folder}: "
         f"{'; '.join(damage) or 'it holds none'}."
     )
 
@@ -149,6 +152,8 @@ def _read(path: Path) -> dict[str, Any]:
     try:
         _check_digest(path)
         state: dict[str, Any] = torch.load(path, weights_only=True, map_location="cpu")
+        if not isinstance(state, dict):
+            raise ValueError(f"it holds a {type(state).__name__} and no state of a run")
     except OSError:
         raise
     except Exception as error:  # a truncated archive raises many kinds

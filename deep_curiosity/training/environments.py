@@ -474,6 +474,11 @@ def registered_id(env_id: str) -> str:
 
 def _import_tasks(module: str, env_id: str) -> None:
     """Import a module, which registers its tasks."""
+    if not all(part.isidentifier() for part in module.split(".")):
+        raise ValueError(
+            "`env_id` must name a module as an import does, such as package.module:Task-v0, "
+            f"got {env_id!r}."
+        )
     try:
         importlib.import_module(module)
     except ModuleNotFoundError as error:

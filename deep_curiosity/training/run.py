@@ -433,7 +433,7 @@ def open_run(
             begin_from(config, learner, collector)
         lease = _hold_folder(config.run.out, resume=resume)
         stack.callback(lease.release)
-        state = {} if begins else load_checkpoint(config.run.out, mend=True)
+        state = {} if begins else load_checkpoint(config.run.out, mend=True, argument="resume")
         if state:
             _check_hunger(state["learner"], hunger, config.run.out)
         if resume:

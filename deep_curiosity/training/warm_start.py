@@ -46,7 +46,7 @@ def begin_from(config: Config, learner: Learner, collector: Collector) -> None:
             f"`bonus` must be {kind!r}, that of the run in {folder}, to begin from it, got "
             f"{config.bonus.kind!r}."
         )
-    checkpoint = load_checkpoint(folder)
+    checkpoint = load_checkpoint(folder, argument="init_from")
     state = checkpoint["learner"]
     _check_sizes(_learned(learner.agent.state_dict()), _learned(state["agent"]), config, there)
     learner.agent.load_state_dict(learner.agent.state_dict() | _learned(state["agent"]))

@@ -1,4 +1,5 @@
 import json
+import signal
 import sys
 
 import numpy as np
@@ -169,6 +170,24 @@ def test_what_cannot_be_written_is_refused(run_of, tmp_path):
         with pytest.raises(ValueError, match="`curious` must be False for a run with one policy"):
             dc.export(folder, tmp_path / out, curious=True)
     assert not (tmp_path / "policy").exists()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="sizes of files are limited by POSIX alone")
+@pytest.mark.parametrize("out", ["policy.pt2", "policy.onnx", "policy"])
+def test_a_disk_that_is_full_is_named_and_nothing_is_left(run_of, tmp_path, out):
+    import resource
+
+    folder = run_of()
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1_000, before[1]))
+    try:
+        with pytest.raises(OSError, match=r"`out` must be where all can be .*policy"):
+            dc.export(folder, tmp_path / "there" / out)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert not any((tmp_path / "there").iterdir())
 
 
 @pytest.mark.parametrize(("package", "out"), [("onnx", "policy.onnx"), ("safetensors", "policy")])

@@ -98,6 +98,12 @@ def test_one_that_may_not_be_written_leaves_what_is_there(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == [NEWEST]
 
 
+def test_a_file_that_holds_something_else_is_no_checkpoint(tmp_path):
+    torch.save([1, 2], tmp_path / NEWEST)
+    with pytest.raises(FileNotFoundError, match=r"`out` must name a folder.*holds a list and no"):
+        load_checkpoint(tmp_path, argument="out")
+
+
 def test_what_a_killed_process_has_half_written_is_deleted(tmp_path):
     (tmp_path / f"{NEWEST}.0123.partial").write_bytes(b"half of it")
     save_checkpoint(tmp_path, {"step": 1})

@@ -469,6 +469,9 @@ def test_a_module_is_imported_for_its_tasks(tmp_path, monkeypatch):
         make_environment(EnvironmentConfig("tasks_of_mine:Other-v0"))
     with pytest.raises(ValueError, match=r"`env_id` must name a module.*PYTHONPATH.*'nowhere:M"):
         make_environment(EnvironmentConfig("nowhere:Mine-v0"))
+    for path in ("./tasks_of_mine.py", ".tasks_of_mine", "tasks of mine"):
+        with pytest.raises(ValueError, match=r"`env_id` must name a module as an import does"):
+            make_environment(EnvironmentConfig(f"{path}:Mine-v0"))
 
 
 def test_a_task_of_gymnasium_robotics_names_its_extra_or_the_mujoco_it_needs(monkeypatch):
