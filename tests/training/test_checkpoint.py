@@ -30,7 +30,7 @@ def test_a_truncated_one_gives_way_to_the_one_before_it(tmp_path, length):
 
 
 def test_without_a_readable_one_the_damage_is_told(tmp_path):
-    with pytest.raises(FileNotFoundError, match=r"`resume` must name a folder.*it holds none"):
+    with pytest.raises(FileNotFoundError, match=r"`folder` must name a folder.*it holds none"):
         load_checkpoint(tmp_path)
     (tmp_path / NEWEST).write_bytes(b"no archive")
     with pytest.raises(FileNotFoundError, match="is damaged"):
