@@ -12,7 +12,8 @@ from typing import Annotated
 
 import tyro
 
-from deep_curiosity.arguments import check_file, read_arguments
+from deep_curiosity.arguments import read_arguments
+from deep_curiosity.cli.study import check_paths
 from deep_curiosity.configuration import Group
 from deep_curiosity.experiments.curves import (
     find_runs,
@@ -21,6 +22,10 @@ from deep_curiosity.experiments.curves import (
     read_runs,
     write_page,
 )
+from deep_curiosity.experiments.tables import output_path
+
+ENDINGS = (".png", ".html")
+"""Of the files that are written."""
 
 
 @dataclass(frozen=True)
@@ -42,7 +47,7 @@ class Args(Group):
     def __post_init__(self) -> None:
         """Refuse what cannot be written, before anything is read."""
         super().__post_init__()
-        check_file("out", self.out)
+        check_paths(self.out, ENDINGS)
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -50,7 +55,7 @@ def main(arguments: Sequence[str]) -> int:
     args = read_arguments(Args, arguments, description=__doc__, prog="deep-curiosity plot")
     runs = read_runs(find_runs(args.runs), args.group_by)
     tags = known_tags(runs, args.tags)
-    picture, page = (args.out.with_name(args.out.name + suffix) for suffix in (".png", ".html"))
+    picture, page = (output_path(args.out, ending) for ending in ENDINGS)
     plot_png(picture, runs, args.tags or tags[:1])
     write_page(page, runs, tags)
     print(f"{len(runs)} runs in {picture} and {page}")

@@ -83,9 +83,13 @@ def train(
             quiet=not show_progress,
         ) as run,
         catch_interruption() as interruption,
+        tqdm(
+            total=run.config.run.total_steps,
+            initial=run.run_log.step,
+            disable=not show_progress,
+        ) as bar,
     ):
         total_steps = run.config.run.total_steps
-        bar = tqdm(total=total_steps, initial=run.run_log.step, disable=not show_progress)
 
         # 2. Repeat at every time step, in all environments at once
         with suppress(Interrupted):

@@ -23,6 +23,13 @@ def test_what_cannot_be_drawn_is_answered_in_one_line(arguments, tmp_path, monke
     assert refusal("plot", *arguments).startswith("error: `runs` must be folders of runs, got ")
 
 
+@pytest.mark.parametrize("out", ["curves.png", "curves.html", ".."])
+def test_a_path_with_the_suffix_of_a_file_is_refused(out, tmp_path, monkeypatch, refusal):
+    monkeypatch.chdir(tmp_path)
+    said = " ".join(refusal("plot", ".", "--out", out).split())
+    assert f"`out` must be a path of a file without its suffix, got {out}" in said
+
+
 def test_what_is_no_run_is_passed_over_and_a_run_that_is_written_is_drawn(tiny, tmp_path, capsys):
     train(tiny, show_progress=False)
     with (tiny.run.out / "progress.csv").open("a") as file:

@@ -386,6 +386,15 @@ def test_a_task_that_exits_leaves_all_before_the_step(tiny, monkeypatch):
     assert load_checkpoint(tiny.run.out)["run_log"]["step"] == 33
 
 
+def test_the_line_of_progress_ends_before_an_error_is_told(tiny, capsys):
+    def failing(step, values):
+        raise KeyError("of the callback")
+
+    with pytest.raises(KeyError):
+        train(tiny, on_evaluation=failing)
+    assert capsys.readouterr().err.endswith("\n")
+
+
 def test_a_callback_that_exits_leaves_all_before_it(tiny):
     with pytest.raises(SystemExit):
         train(tiny, on_evaluation=lambda step, values: sys.exit(3), show_progress=False)
