@@ -78,3 +78,9 @@ def test_in_a_greedy_stretch_the_greedy_policy_acts(num_envs, numpy_policy):
     assert (action[0] > 0).all() and (action[1:] < 0).all()
     evaluated = learner.evaluation_policy(torch.zeros(1, 3), {})
     torch.testing.assert_close(evaluated, torch.tanh(torch.full((1, 2), 2.0)))
+
+
+@pytest.mark.parametrize(("discount", "length"), [(0.97, 100 / 3), (0.9, 10.0)])
+def test_a_greedy_stretch_of_a_run_is_as_long_as_curiosity_looks_ahead(discount, length):
+    learner = Learner(Config.of(hidden_dim=8, curiosity_discount=discount), 3, 2)
+    assert learner.greedy_stretches.length == pytest.approx(length)

@@ -339,7 +339,29 @@ class Costly(Reach):
 
 
 def test_choices_beside_the_goals_are_left_as_they_are():
-    assert make_hindsight(4, made(WithCount)) is not None
+    environment = made(WithCount)
+    hindsight = make_hindsight(4, environment)
+    replay = ReplayBuffer(100, 7, 2)
+    for seed in range(4):
+        observation, _ = environment.reset(seed=seed)
+        for step in range(EPISODE):
+            following, reward, terminated, _, _ = environment.step(np.full(2, 0.1, np.float32))
+            flags = [terminated], [step == EPISODE - 1]
+            action = np.full((1, 2), 0.1)
+            replay.extend(observation[None], action, np.array([reward]), following[None], *flags)
+            observation = following
+    rows, alive, slot = replay.sample_rows(32, 1)
+    before = replay.sequences(rows.clone(), alive).steps
+    after = hindsight.relabel(replay, rows, alive, slot).steps
+    goal = list(task_spaces(environment).places("desired_goal"))
+    others = [place for place in range(7) if place not in goal]
+    assert len(goal) == 2
+    for old, new in (
+        (before.observation, after.observation),
+        (before.next_observation, after.next_observation),
+    ):
+        assert new[:, others].equal(old[:, others])
+        assert not new[:, goal].equal(old[:, goal])
 
 
 @pytest.mark.parametrize(
