@@ -179,11 +179,17 @@ def _make_task(
 
 def _limit(config: EnvironmentConfig, spec: EnvSpec | None, task: gymnasium.Env) -> int | None:
     """Steps after which episodes are to be cut off; `None` where the task sees to that itself."""
-    if config.max_episode_steps is not None:
-        return config.max_episode_steps
+    within, wanted = _limit_within(task), config.max_episode_steps
+    if wanted is not None:
+        if within is not None and wanted > within:
+            raise ValueError(
+                f"`max_episode_steps` must be at most {within}, after which {config.env_id} cuts "
+                f"its episodes off by itself, got {wanted}."
+            )
+        return wanted
     if spec is not None and spec.max_episode_steps is not None:
         return spec.max_episode_steps
-    if _has_time_limit(task) or config.env_id.startswith("dm_control/"):
+    if within is not None or config.env_id.startswith("dm_control/"):
         return None
     warnings.warn(
         f"`max_episode_steps` should be set: nothing limits the episodes of {config.env_id}, and "
@@ -193,13 +199,13 @@ def _limit(config: EnvironmentConfig, spec: EnvSpec | None, task: gymnasium.Env)
     return MAX_EPISODE_STEPS
 
 
-def _has_time_limit(task: gymnasium.Env) -> bool:
-    """Whether a wrapper cuts episodes off; an attribute of the task's own may say anything."""
+def _limit_within(task: gymnasium.Env) -> int | None:
+    """Steps after which a wrapper cuts episodes off; what the task itself says may be anything."""
     while isinstance(task, gymnasium.Wrapper):
         if isinstance(task, TimeLimit):
-            return True
+            return task._max_episode_steps
         task = task.env
-    return False
+    return None
 
 
 class EnvironmentMaker:

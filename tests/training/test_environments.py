@@ -474,6 +474,26 @@ def test_a_module_is_imported_for_its_tasks(tmp_path, monkeypatch):
             make_environment(EnvironmentConfig(f"{path}:Mine-v0"))
 
 
+@pytest.mark.parametrize(
+    ("env_id", "settings", "make_env"),
+    [
+        ("ActionCost", {"env_kwargs": {"env_id": "Pendulum-v1"}}, None),
+        (MADE_BY_FUNCTION, {}, lambda: gymnasium.make("Pendulum-v1")),
+    ],
+)
+def test_a_limit_beyond_that_of_the_task_would_do_nothing_and_is_refused(
+    env_id, settings, make_env
+):
+    own = {} if make_env is None else {"make_env": make_env}
+    with pytest.raises(ValueError, match=r"`max_episode_steps` must be at most 200, .* 201"):
+        make_environment(EnvironmentConfig(env_id, max_episode_steps=201, **settings), **own)
+    config = EnvironmentConfig(env_id, max_episode_steps=7, **settings)
+    environment = make_environment(config, **own)
+    environment.reset(seed=0)
+    taken = [environment.step(environment.action_space.sample())[3] for _ in range(7)]
+    assert taken == [False] * 6 + [True]
+
+
 def test_a_task_of_gymnasium_robotics_names_its_extra_or_the_mujoco_it_needs(monkeypatch):
     monkeypatch.setitem(sys.modules, "gymnasium_robotics", None)
     with pytest.raises(ImportError, match=r"gymnasium_robotics is missing.*\[robotics\]"):
