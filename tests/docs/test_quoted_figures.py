@@ -520,9 +520,7 @@ def test_what_is_said_of_greed_where_reward_is_dense_is_what_was_measured():
     ]
     areas = [mean[task, "curiosity"] for task in tasks]
     times = [mean[task, "curiosity"] / mean[task, "plain SAC"] for task in tasks]
-    said = (
-        "its area is {:.0f} on HalfCheetah-v5 and {:.0f} on Hopper-v5, that of the steady share "
-    )
+    said = "its area is {:.0f} on HalfCheetah-v5 and {:.0f} on Hopper-v5, that of the steady "
     assert (said + "share {:.0f} and {:.0f} on").format(*areas, *steady) in page
     said = "it is {:.2f} times its area on HalfCheetah-v5 and {:.2f} times on Hopper-v5"
     assert said.format(*times) in page

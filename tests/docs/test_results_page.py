@@ -1,5 +1,6 @@
 """The page of results: its tables are those of the rows, of one commit, after the protocol."""
 
+import re
 import shutil
 import subprocess
 
@@ -16,7 +17,7 @@ from deep_curiosity.experiments.tables import markdown_table
 from tests.docs.pages import ROOT, text_of
 
 FOLDER = ROOT / "docs/results"
-NAMES = ("results", "raw_observations", "uniform_prior")
+NAMES = ("results", "steady_share", "raw_observations", "uniform_prior")
 TABLES = {name: read_rows(FOLDER / f"{name}.csv") for name in NAMES}
 HELD_OUT = [task.name for task in STUDIES["results"].joint.tasks]
 
@@ -90,11 +91,22 @@ def test_what_is_said_of_the_held_out_tasks_is_what_was_measured():
     assert said.format_map(better) in text
 
 
+def test_what_is_said_of_the_tasks_together_is_what_was_measured():
+    table = (FOLDER / "results.md").read_text().split("| all tasks |")[1]
+    gain, default, nearest = (
+        re.search(rf"\| {agent} \| [^|]* \| ([\d.]+) \[", table)[1]
+        for agent in ("information gain", "curiosity", "nearest-neighbours")
+    )
+    said = f"ahead with {gain}, the default has {default} and nearest-neighbours {nearest}."
+    assert said in text_of("docs/results/README.md")
+
+
 def test_what_is_said_of_earlier_defaults_is_what_was_measured():
     text = text_of("docs/results/README.md")
-    (solved, runs), _, (nearest, _), (gain, _) = solved_of_held_out("raw_observations").values()
-    said = f"solved {solved:.0f} runs of {runs}, nearest-neighbours {nearest:.0f} and information "
-    assert f"{said}gain {gain:.0f}" in text
+    for name in ("steady_share", "raw_observations"):
+        (solved, runs), _, (nearest, _), (gain, _) = solved_of_held_out(name).values()
+        said = f"solved {solved:.0f} runs of {runs}, nearest-neighbours {nearest:.0f} and inform"
+        assert f"{said}ation gain {gain:.0f}" in text
     (solved, runs), _ = solved_of_held_out("uniform_prior").values()
     assert f"which had the uniform prior, solved {solved:.0f} of {runs}" in text
 

@@ -18,6 +18,7 @@ TABLES = {  # whose names are not those of their studies
     "harm-default": "harm",
     "harm-units": "harm",
     "uniform_prior": "results",
+    "steady_share": "results",
     "raw_observations": "results",
     "one-nat": "development",
     "shared-prior": "development",
