@@ -134,7 +134,8 @@ def as_plain(value: Any) -> Any:
 def coerce(name: str, annotation: Any, value: Any) -> Any:
     """Bring a value to the type of its annotation, or reject it.
 
-    Text is taken for paths and for values that can be parsed, whole numbers for real ones.
+    Text is taken for paths and for values that can be parsed, whole numbers for real ones; a path
+    may begin at the home folder.
 
     Raises:
         TypeError: Naming the setting, its type and the value.
@@ -143,7 +144,7 @@ def coerce(name: str, annotation: Any, value: Any) -> Any:
     options = get_args(annotation) if _is_union(annotation) else (annotation,)
     for option in options:
         if _is_of(option, value):
-            return value
+            return value.expanduser() if isinstance(value, Path) else value
     problems: list[str] = []
     for option in options:
         try:
@@ -229,7 +230,6 @@ def _as_float(value: int) -> float:
 
 
 def _as(option: Any, value: Any) -> Any:
-    value = value.expanduser() if isinstance(value, Path) else value
     return value if _is_of(option, value) else _convert(option, value)
 
 

@@ -1,6 +1,7 @@
 import json
 import signal
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -160,6 +161,7 @@ def test_a_home_folder_is_understood(run_of, tmp_path, monkeypatch):
     assert dc.export(run_of(), "~/policy") == tmp_path / "policy"
     assert dc.load("~/policy").predict(OBSERVATIONS)[0].shape == (5, 2)
     assert Config.of(out="~/run").run.out == tmp_path / "run"
+    assert Config.of(out=Path("~/run")).run.out == tmp_path / "run"
 
 
 def test_what_cannot_be_written_is_refused(run_of, tmp_path):
