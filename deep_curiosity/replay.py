@@ -251,16 +251,6 @@ class ReplayBuffer:
         )
         return Sequences(steps, alive)
 
-    def sample_newest(self, batch_size: int, *, window: int) -> Transition:
-        """Sample uniformly from the newest `window` transitions, or all while there are fewer.
-
-        Raises:
-            ValueError: If the buffer is empty or a count is below 1.
-        """
-        self._check_sample(batch_size=batch_size, window=window)
-        age = self._sample_below(min(window, len(self)), batch_size)
-        return self._at((self._num_added - 1 - age) % self.capacity)
-
     def sample_fading(self, batch_size: int, *, half_life: int) -> Transition:
         """Sample transitions whose weight halves with every `half_life` that came after them.
 

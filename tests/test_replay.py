@@ -325,15 +325,6 @@ def test_what_is_evenly_spaced_over_replay_is_the_same_at_every_call():
         filled(0).evenly_spaced(1)
 
 
-@pytest.mark.parametrize("count", [1, 3, 8, 21])
-@pytest.mark.parametrize("window", [1, 3, 50])
-def test_the_newest_of_a_window_are_sampled_and_all_of_them(count, window):
-    first = max(0, count - min(window, 8))
-    assert set(numbers(filled(count).sample_newest(300, window=window))) == set(
-        range(first, count)
-    )
-
-
 @pytest.mark.parametrize("count", [6, 21])
 def test_the_weight_of_a_step_halves_with_every_half_life(count):
     sampled = filled(count).sample_fading(60_000, half_life=2).observation[:, 0]
@@ -348,12 +339,11 @@ def test_a_half_life_beyond_all_steps_draws_them_alike():
     assert (torch.bincount(sampled.long()) / 40_000 - 0.25).abs().max() < 0.01
 
 
-@pytest.mark.parametrize(("which", "name"), [("newest", "window"), ("fading", "half_life")])
-def test_a_horizon_below_one_and_an_empty_replay_are_rejected(which, name):
-    with pytest.raises(ValueError, match=f"`{name}` must be at least 1, got 0"):
-        getattr(filled(3), f"sample_{which}")(2, **{name: 0})
+def test_a_half_life_below_one_and_an_empty_replay_are_rejected():
+    with pytest.raises(ValueError, match="`half_life` must be at least 1, got 0"):
+        filled(3).sample_fading(2, half_life=0)
     with pytest.raises(ValueError, match="must hold a transition before it is sampled"):
-        getattr(filled(0), f"sample_{which}")(2, **{name: 5})
+        filled(0).sample_fading(2, half_life=5)
 
 
 def test_sequences_hold_what_followed_until_the_episode_ends():

@@ -317,10 +317,3 @@ def log_abs_det_tanh(pre_action: Float[Tensor, "*batch dim"]) -> Float[Tensor, "
     Uses `1 - tanh(u)^2 = 4 / (exp(u) + exp(-u))^2`, which neither overflows nor needs an epsilon.
     """
     return (2 * (math.log(2) - pre_action - softplus(-2 * pre_action))).sum(-1)
-
-
-def squashed_log_prob(
-    pre_log_prob: Float[Tensor, "*batch"], pre_action: Float[Tensor, "*batch dim"]
-) -> Float[Tensor, "*batch"]:
-    """Log density of `tanh(pre_action)` on the action box, from that of the pre-action."""
-    return pre_log_prob - log_abs_det_tanh(pre_action)

@@ -129,10 +129,7 @@ class CuriousSAC(nn.Module):
         super().__init__()
         config = AgentConfig() if config is None else config
         check_counts(observation_dim=observation_dim, action_dim=action_dim)
-        if not isinstance(config, AgentConfig):
-            raise TypeError(f"`config` must be an AgentConfig, got {config!r}.")
-        if not isinstance(curiosity, bool):
-            raise TypeError(f"`curiosity` must be True or False, got {curiosity!r}.")
+        _check_parts(config, curiosity)
         self.config = config
         self.observation_dim = observation_dim
         self.action_dim = action_dim
@@ -701,6 +698,14 @@ def _step_what_was_loaded(agent: CuriousSAC, _: object) -> None:
     """Give the optimisers the parameters of now: with `assign`, loading puts others there."""
     for name, parameters in agent._trained_parameters().items():
         agent.optimizers[name].replace_targets(parameters)
+
+
+def _check_parts(config: Any, curiosity: Any) -> None:
+    """Reject what is no configuration of an agent, and what is no answer to yes or no."""
+    if not isinstance(config, AgentConfig):
+        raise TypeError(f"`config` must be an AgentConfig, got {config!r}.")
+    if not isinstance(curiosity, bool):
+        raise TypeError(f"`curiosity` must be True or False, got {curiosity!r}.")
 
 
 def _check_number(name: str, value: float, **bounds: float) -> None:

@@ -82,18 +82,14 @@ class DynamicsEnsemble(nn.Module):
         features: Features | None = None,
     ) -> None:
         super().__init__()
-        if whitening not in WHITENINGS:
-            choices = ", ".join(WHITENINGS)
-            raise ValueError(f"`whitening` must be one of {choices}, got {whitening!r}.")
-        check_counts(num_members=num_members)
-        check_members(num_members, members)
         check_counts(
             observation_dim=observation_dim,
             action_dim=action_dim,
+            num_members=num_members,
             mixture_components=mixture_components,
         )
-        if not (is_number(noise_floor) and noise_floor > 0):
-            raise ValueError(f"`noise_floor` must be positive and finite, got {noise_floor}.")
+        check_members(num_members, members)
+        _check_units(noise_floor, whitening)
         self.observation_dim = observation_dim
         self.action_dim = action_dim
         self.num_members = num_members
@@ -329,6 +325,15 @@ class DynamicsEnsemble(nn.Module):
                 average.isnan(), latest, average.lerp(latest, 1 - HELD_OUT_DECAY)
             )
             average.copy_(torch.where(blended.isnan(), average, blended))
+
+
+def _check_units(noise_floor: float, whitening: str) -> None:
+    """Reject a floor that is no width, and a whitening that there is not."""
+    if whitening not in WHITENINGS:
+        choices = ", ".join(WHITENINGS)
+        raise ValueError(f"`whitening` must be one of {choices}, got {whitening!r}.")
+    if not (is_number(noise_floor) and noise_floor > 0):
+        raise ValueError(f"`noise_floor` must be positive and finite, got {noise_floor}.")
 
 
 def check_members(num_members: int, members: str) -> None:

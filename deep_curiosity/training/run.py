@@ -401,18 +401,12 @@ def open_run(
         ValueError: If the environment is not one the agent can take, or a run is to be continued
             with other settings than its own.
     """
-    if torch.get_default_dtype() is not torch.float32:
-        raise ValueError(
-            "`torch.set_default_dtype` must be left at torch.float32 where a run trains, got "
-            f"{torch.get_default_dtype()}."
-        )
-    if new_episode and not resume:
-        raise ValueError("`new_episode` must be left out where no run is continued, got True.")
+    _check_request(resume=resume, new_episode=new_episode)
     config = with_make_env(config, make_env)
     if make_env is not None:
         make_env = EnvironmentMaker(make_env)
-    if resume:
-        own = read_config(config.run.out)
+    own = read_config(config.run.out) if resume else None
+    if own is not None:
         config = merge_config(config, own)
     with ExitStack() as stack:
         precision = stack.enter_context(fitted_machine(config.speed))
@@ -421,27 +415,18 @@ def open_run(
         if not quiet:
             _print_machine(config)
         torch.manual_seed(config.run.seed)
-        evaluation_environment = make_environment(config.environment, **_own(make_env))
-        stack.callback(evaluation_environment.close)
-        sizes = observation_dim(evaluation_environment), action_dim(evaluation_environment)
-        hindsight = make_hindsight(config.run.hindsight, evaluation_environment)
-        learner = Learner(config, *sizes, hunger, hindsight)
-        collector = make_collector(config, make_env)
-        stack.callback(close_environments, collector.environment)
-        begins = not resume or is_unbegun(config.run.out)
+        evaluation_environment, learner, collector = _make_parts(config, hunger, make_env, stack)
+        begins = own is None or is_unbegun(config.run.out)
         if begins:
             begin_from(config, learner, collector)
         lease = _hold_folder(config.run.out, resume=resume)
         stack.callback(lease.release)
         state = {} if begins else load_checkpoint(config.run.out, mend=True, argument="resume")
-        if state:
-            _check_hunger(state["learner"], hunger, config.run.out)
-        if resume:
-            _check_remaining(config, own, state["run_log"]["step"] if state else 0)
-            _print_changes(config, own)
-        else:
-            open_folder(config)
         spaces = task_spaces(evaluation_environment)
+        if own is None:
+            open_folder(config)
+        else:
+            _check_continued(config, own, state, hunger)
         if state:
             check_same_task(spaces, config.run.out)
         log = _open_log(config.run.out, state)
@@ -459,6 +444,31 @@ def open_run(
         if resume:
             write_json(config.run.out / CONFIG, config.to_json())
         yield run
+
+
+def _check_request(*, resume: bool, new_episode: bool) -> None:
+    """Refuse what no run can be opened with."""
+    if torch.get_default_dtype() is not torch.float32:
+        raise ValueError(
+            "`torch.set_default_dtype` must be left at torch.float32 where a run trains, got "
+            f"{torch.get_default_dtype()}."
+        )
+    if new_episode and not resume:
+        raise ValueError("`new_episode` must be left out where no run is continued, got True.")
+
+
+def _make_parts(
+    config: Config, hunger: HungerFunction | None, make_env: MakeEnv | None, stack: ExitStack
+) -> tuple[gymnasium.Env, Learner, Collector]:
+    """Environment of evaluations, learner and collector; environments close with the stack."""
+    evaluation_environment = make_environment(config.environment, **_own(make_env))
+    stack.callback(evaluation_environment.close)
+    sizes = observation_dim(evaluation_environment), action_dim(evaluation_environment)
+    hindsight = make_hindsight(config.run.hindsight, evaluation_environment)
+    learner = Learner(config, *sizes, hunger, hindsight)
+    collector = make_collector(config, make_env)
+    stack.callback(close_environments, collector.environment)
+    return evaluation_environment, learner, collector
 
 
 def with_make_env(config: Config, make_env: MakeEnv | None) -> Config:
@@ -503,6 +513,16 @@ def make_collector(config: Config, make_env: MakeEnv | None = None) -> Collector
     """Collector of a run, with its environment."""
     make = make_environment if config.environment.num_envs == 1 else make_vector_environment
     return Collector(make(config.environment, **_own(make_env)), config.run.seed)
+
+
+def _check_continued(
+    config: Config, own: Config, state: dict[str, Any], hunger: HungerFunction | None
+) -> None:
+    """Refuse what a run cannot be continued with, and say what is to change."""
+    if state:
+        _check_hunger(state["learner"], hunger, config.run.out)
+    _check_remaining(config, own, state["run_log"]["step"] if state else 0)
+    _print_changes(config, own)
 
 
 def _check_hunger(learner: dict[str, Any], hunger: HungerFunction | None, folder: Path) -> None:

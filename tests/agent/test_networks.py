@@ -21,7 +21,6 @@ from deep_curiosity.agent.networks import (
     LearnedPrior,
     UniformPrior,
     log_abs_det_tanh,
-    squashed_log_prob,
 )
 from deep_curiosity.gaussians import DiagonalMixture, gaussian_log_prob
 from deep_curiosity.losses import prior_loss
@@ -318,6 +317,11 @@ def test_volume_change_has_a_bounded_gradient_at_thirty():
     pre_action = torch.tensor([[30.0], [-30.0]], requires_grad=True)
     log_abs_det_tanh(pre_action).sum().backward()
     torch.testing.assert_close(pre_action.grad, torch.tensor([[-2.0], [2.0]]))
+
+
+def squashed_log_prob(pre_log_prob, pre_action):
+    """Log density of `tanh(pre_action)` on the action box, from that of the pre-action."""
+    return pre_log_prob - log_abs_det_tanh(pre_action)
 
 
 def test_squashed_log_density_agrees_with_torch_distributions():

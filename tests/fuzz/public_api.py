@@ -401,7 +401,7 @@ def of_replay() -> Iterator[Target]:
     for name, keys in (
         ("sample", ("batch_size",)),
         ("sample_sequences", ("batch_size", "num_steps")),
-        ("sample_newest", ("batch_size", "window")),
+        ("sample_fading", ("batch_size", "half_life")),
         ("newest", ("num_rows",)),
         ("evenly_spaced", ("num_rows",)),
     ):

@@ -49,7 +49,6 @@ def test_storing_and_sampling_wait_for_nothing():
             replay.add(*a_step(float(number)))
         batches = [
             replay.sample(64),
-            replay.sample_newest(64, window=3),
             replay.sample_fading(64, half_life=3),
             replay.sample_sequences(64, 2).first,
         ]
