@@ -70,6 +70,17 @@ class BonusLearner(nn.Module):
         if observes and not self._has_warned:
             fresh = [] if watched is None else watched.actions
             self._look_at_unit(transition.action, *fresh)
+        self.train_on(transition)
+
+    def train_on(self, transition: Transition) -> None:
+        """Take a gradient step at every `update_interval`-th call; the bonus has seen the batch.
+
+        Args:
+            transition: A batch that was shown before, such as in another epoch of a rollout.
+
+        Raises:
+            RuntimeError: In inference mode, if there is something to learn.
+        """
         if not self.every.should_skip:
             self.step(transition)
         self.every.count()

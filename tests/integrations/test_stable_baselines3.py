@@ -549,12 +549,13 @@ def test_of_a_dictionary_in_a_rollout_the_bonus_is_given_one_entry() -> None:
     assert torch.equal(rollout.next_observation[:, 0], rollout.observation[:, 0] + 1)
 
 
-def test_the_bonus_goes_through_a_rollout_in_minibatches() -> None:
-    bonus = Time()
+def test_the_bonus_goes_through_a_rollout_in_minibatches_and_observes_every_step_once() -> None:
+    bonus = Time(learns=True)
     agent = make_rollout_agent(bonus=bonus, batch_size=8, epochs=3)
     agent.learn(20, callback=CuriosityCallback())
-    assert [len(batch.reward) for batch in bonus.observed] == [8, 8, 4] * 3
-    times = torch.cat([batch.observation[:, 0] for batch in bonus.observed[:3]])
+    assert [len(batch.reward) for batch in bonus.observed] == [8, 8, 4]
+    assert bonus.factor.item() == pytest.approx(1 + 3 * 3 * 1e-3)  # Adam's steps, three an epoch
+    times = torch.cat([batch.observation[:, 0] for batch in bonus.observed])
     assert torch.equal(
         times.sort().values, agent.rollout_buffer.transition().observation[:, 0].sort().values
     )
@@ -563,6 +564,30 @@ def test_the_bonus_goes_through_a_rollout_in_minibatches() -> None:
 def test_a_rollout_without_the_callback_says_what_is_missing() -> None:
     with pytest.raises(RuntimeError, match=r"20 steps has 0 on record.*CuriosityCallback\(\)"):
         make_rollout_agent().learn(20)
+
+
+@pytest.mark.parametrize("name", ["curiosity", "rnd"])
+def test_a_named_bonus_looks_at_every_batch_of_a_rollout_unless_told_otherwise(name: str) -> None:
+    def interval_of(**settings: Any) -> int:
+        agent = make_rollout_agent(bonus=name, bonus_kwargs=settings)
+        return int(agent.rollout_buffer.bonus.every.interval)
+
+    assert interval_of() == 1 and interval_of(refresh_interval=3) == 3
+
+
+@pytest.mark.slow
+def test_short_rollouts_are_paid_a_bonus_of_about_its_weight() -> None:
+    paid = []
+
+    class Watched(CuriousRolloutBuffer):
+        def compute_returns_and_advantage(self, last_values: Tensor, dones: np.ndarray) -> None:
+            super().compute_returns_and_advantage(last_values, dones)
+            paid.append(self.attachment.compute(self.transition()))
+
+    agent = A2C("MlpPolicy", "Pendulum-v1", seed=0, rollout_buffer_class=Watched, device="cpu")
+    agent.learn(2_000, callback=CuriosityCallback())
+    late = torch.cat(paid)[-1_500:] / 0.1
+    assert late.mean().abs() < 0.5 and 0.4 < late.std() < 1.5
 
 
 def test_the_default_bonus_serves_a_rollout_and_is_logged() -> None:

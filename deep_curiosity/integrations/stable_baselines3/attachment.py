@@ -36,6 +36,8 @@ class BonusAttachment:
         learning_rate: Of the networks of the bonus.
         update_interval: Batches from one gradient step of the bonus to the next.
         observation_key: Entry of a dictionary observation that the bonus is about.
+        refresh_interval: Of a bonus given by name, where `bonus_kwargs` has none; its own default
+            when `None`.
 
     Raises:
         TypeError: If `bonus` is neither a name nor a bonus, or has no such setting.
@@ -54,13 +56,14 @@ class BonusAttachment:
         learning_rate: float = 1e-3,
         update_interval: int = 1,
         observation_key: str | None = None,
+        refresh_interval: int | None = None,
     ) -> None:
         (observation_dim,) = observed_space(observation_space, observation_key).shape
         self.action_space = bounded_space(action_space)
         (action_dim,) = self.action_space.shape
         self.observation_key = observation_key
         self.learner = BonusLearner(
-            _find_bonus(bonus, observation_dim, action_dim, bonus_kwargs),
+            _find_bonus(bonus, observation_dim, action_dim, bonus_kwargs, refresh_interval),
             learning_rate=learning_rate,
             update_interval=update_interval,
         )
@@ -74,6 +77,11 @@ class BonusAttachment:
             self.learner.to(device)
             self.device = device
         return self
+
+    @property
+    def has_learned(self) -> bool:
+        """Whether the bonus has been shown a batch yet."""
+        return int(self.learner.every.num_calls) > 0
 
     def select_observation(self, observation: Any) -> Any:
         """The part of an observation, or of all that are stored, that the bonus is about."""
@@ -139,11 +147,13 @@ def _find_bonus(
     observation_dim: int,
     action_dim: int,
     options: Mapping[str, Any] | None,
+    refresh_interval: int | None,
 ) -> Bonus:
     if options is not None and not isinstance(options, Mapping):
         raise TypeError(f"`bonus_kwargs` must map settings to their values, got {options!r}.")
     if isinstance(bonus, str):
-        return make_bonus(bonus, observation_dim, action_dim, **(options or {}))
+        default = {} if refresh_interval is None else {"refresh_interval": refresh_interval}
+        return make_bonus(bonus, observation_dim, action_dim, **default | dict(options or {}))
     if not isinstance(bonus, Bonus):
         raise TypeError(f"`bonus` must be a name or a Bonus, got {type(bonus).__name__}.")
     if options:

@@ -67,9 +67,10 @@ class CuriosityCallback(BaseCallback):
         return True
 
     def _on_rollout_end(self) -> None:
-        if self.num_timesteps >= self._next_record and self._has_learned:
+        attachment = self._buffer.attachment
+        if self.num_timesteps >= self._next_record and attachment.has_learned:
             self._next_record = self.num_timesteps + self.log_interval
-            for name, value in self._buffer.attachment.metrics().items():
+            for name, value in attachment.metrics().items():
                 self.logger.record(f"curiosity/{name}", value)
 
     @property
@@ -83,10 +84,6 @@ class CuriosityCallback(BaseCallback):
             "`replay_buffer_class=CuriousReplayBuffer` or "
             "`rollout_buffer_class=CuriousRolloutBuffer`."
         )
-
-    @property
-    def _has_learned(self) -> bool:
-        return int(self._buffer.attachment.learner.every.num_calls) > 0
 
     def _check_discount(self, buffer: CuriousReplayBuffer) -> None:
         discount = self.model.gamma  # type: ignore[attr-defined]

@@ -18,9 +18,10 @@ class CuriousRolloutBuffer(RolloutBuffer):
     """A rollout buffer whose advantages come from reward plus bonus.
 
     When a rollout is complete the bonus learns from it, in minibatches and at its own pace, and is
-    then computed. Stored rewards stay those of the environment. What the library's rollout lacks
-    is brought by `CuriosityCallback`, without which this buffer refuses to work: the next
-    observation where an episode ended, how it ended, and raw observations under `VecNormalize`.
+    then computed; one given by name looks at every minibatch once, by a `refresh_interval` of 1.
+    Stored rewards stay those of the environment. What the library's rollout lacks is brought by
+    `CuriosityCallback`, without which this buffer refuses to work: the next observation where an
+    episode ended, how it ended, and raw observations under `VecNormalize`.
 
     Args:
         buffer_size: Given by the agent, as are the next six.
@@ -68,6 +69,7 @@ class CuriousRolloutBuffer(RolloutBuffer):
         self.attachment = BonusAttachment(
             observation_space,
             action_space,
+            refresh_interval=1,
             **bonus_options,
         )
         super().__init__(
@@ -139,11 +141,13 @@ class CuriousRolloutBuffer(RolloutBuffer):
         self.rewards = rewards
 
     def _learn(self, rollout: Transition) -> None:
+        """Go through the rollout several times; the bonus observes each of its steps but once."""
         self.attachment.to(self.device)
         num_rows = len(rollout.reward)
-        for _ in range(self.epochs):
+        for epoch in range(self.epochs):
+            learn = self.attachment.learn if epoch == 0 else self.attachment.learner.train_on
             for rows in torch.randperm(num_rows).to(self.device).split(self.batch_size):
-                self.attachment.learn(Transition(*(field[rows] for field in rollout)))
+                learn(Transition(*(field[rows] for field in rollout)))
 
 
 class CuriousDictRolloutBuffer(CuriousRolloutBuffer, DictRolloutBuffer):  # type: ignore[misc]
