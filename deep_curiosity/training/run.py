@@ -426,7 +426,7 @@ def open_run(
         if own is None:
             open_folder(config)
         else:
-            _check_continued(config, own, state, hunger)
+            _check_continued(config, own, state, hunger, new_episode=new_episode)
         if state:
             check_same_task(spaces, config.run.out)
         log = _open_log(config.run.out, state)
@@ -516,13 +516,18 @@ def make_collector(config: Config, make_env: MakeEnv | None = None) -> Collector
 
 
 def _check_continued(
-    config: Config, own: Config, state: dict[str, Any], hunger: HungerFunction | None
+    config: Config,
+    own: Config,
+    state: dict[str, Any],
+    hunger: HungerFunction | None,
+    *,
+    new_episode: bool,
 ) -> None:
     """Refuse what a run cannot be continued with, and say what is to change."""
     if state:
         _check_hunger(state["learner"], hunger, config.run.out)
     _check_remaining(config, own, state["run_log"]["step"] if state else 0)
-    _print_changes(config, own)
+    _print_changes(config, own, new_episode=new_episode)
 
 
 def _check_hunger(learner: dict[str, Any], hunger: HungerFunction | None, folder: Path) -> None:
@@ -553,7 +558,7 @@ def _check_remaining(config: Config, own: Config, taken: int) -> None:
         print(f"All {taken} steps of the run in {own.run.out} are taken", flush=True)
 
 
-def _print_changes(config: Config, own: Config) -> None:
+def _print_changes(config: Config, own: Config, *, new_episode: bool = False) -> None:
     """Say which settings of a continued run are others than before, and what comes of it."""
     before, now = own.to_json(), config.to_json()
     for name in CHANGEABLE:
@@ -567,6 +572,8 @@ def _print_changes(config: Config, own: Config) -> None:
             effect = "schedules are stretched over all steps, and go on from another value"
         else:
             effect = "the run goes on exactly as if it had been so from the start"
+            if new_episode:
+                effect += ", but for the episode that is cut off"
         print(f"`{name}` is {now[name]}, it was {before[name]}: {effect}", flush=True)
 
 

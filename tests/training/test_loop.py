@@ -283,6 +283,13 @@ def test_a_resumed_run_keeps_its_number_of_steps_unless_another_is_given(tiny):
     assert continue_run(tiny.run.out, show_progress=False)["total_steps"] == 60
 
 
+def test_a_run_that_goes_on_with_the_next_episode_does_not_claim_to_be_the_same(tiny, capsys):
+    train(tiny, show_progress=False)
+    continue_run(tiny.run.out, total_steps=80, new_episode=True, show_progress=False)
+    printed = capsys.readouterr().out
+    assert "as if it had been so from the start, but for the episode that is cut off\n" in printed
+
+
 def test_a_resumed_run_changes_what_leaves_what_is_learned_as_it_is(tiny, capsys):
     train(tiny, show_progress=False)
     capsys.readouterr()
