@@ -7,6 +7,7 @@ require_training()
 
 import difflib
 import importlib
+import math
 import multiprocessing
 import os
 import signal
@@ -200,12 +201,15 @@ def _limit(config: EnvironmentConfig, spec: EnvSpec | None, task: gymnasium.Env)
 
 
 def _limit_within(task: gymnasium.Env) -> int | None:
-    """Steps after which a wrapper cuts episodes off; what the task itself says may be anything."""
+    """Steps after which a wrapper or dm_control cuts episodes off; others may say anything."""
     while isinstance(task, gymnasium.Wrapper):
         if isinstance(task, TimeLimit):
             return task._max_episode_steps
         task = task.env
-    return None
+    if not type(task).__module__.startswith("shimmy."):
+        return None
+    limit = getattr(getattr(task, "_env", None), "_step_limit", math.inf)
+    return round(limit) if limit < math.inf else None
 
 
 class EnvironmentMaker:

@@ -94,10 +94,30 @@ def test_what_is_said_of_the_held_out_tasks_is_what_was_measured():
 def test_what_is_said_of_the_tasks_together_is_what_was_measured():
     table = (FOLDER / "results.md").read_text().split("| all tasks |")[1]
     gain, default, nearest = (
-        re.search(rf"\| {agent} \| [^|]* \| ([\d.]+) \[", table)[1]
+        re.search(rf"\| {agent} \| [^|]* \| ([\d.]+ \[[\d., ]+\]) \|", table)[1]
         for agent in ("information gain", "curiosity", "nearest-neighbours")
     )
-    said = f"ahead with {gain}, the default has {default} and nearest-neighbours {nearest}."
+    said = f"information gain has {gain}, the default {default} and nearest-neighbours {nearest}."
+    assert said in text_of("docs/results/README.md")
+
+
+def tasks_that_are_missed():
+    """Held-out tasks that some agent solves in half of its runs, the default in less than 80 %."""
+    for task in HELD_OUT:
+        solved = {
+            agent: [bool(row["solved"]) for row in own]
+            for (of, agent), own in grouped(TABLES["results"], "task", "agent").items()
+            if of == task
+        }
+        shares = {agent: np.mean(runs) for agent, runs in solved.items()}
+        if solved and max(shares.values()) >= 0.5 and shares["curiosity"] < 0.8:
+            yield f"{sum(solved['curiosity'])} of {len(solved['curiosity'])} on {task}"
+
+
+def test_what_is_said_of_single_tasks_is_what_was_measured():
+    said = (
+        f"its second line asks for at least 80 %: it has {' and '.join(tasks_that_are_missed())}."
+    )
     assert said in text_of("docs/results/README.md")
 
 
@@ -111,12 +131,13 @@ def test_what_is_said_of_earlier_defaults_is_what_was_measured():
     assert f"which had the uniform prior, solved {solved:.0f} of {runs}" in text
 
 
-def test_the_first_page_says_the_same():
-    text = text_of("README.md")
+@pytest.mark.parametrize("page", ["README.md", "docs/index.md"])
+def test_the_first_page_says_the_same(page):
+    text = text_of(page)
     (solved, runs), (plain, _), *others = solved_of_held_out("results").values()
     said = f"it solves {solved:.0f} runs of {runs}, and plain soft actor-critic {plain:.0f}; two "
     nearest, gain = (f"{number:.0f}" for number, _ in others)
-    assert f"{said}other bonuses in the same agent solve {nearest} and {gain}." in text
+    assert f"{said}other bonuses in the same agent solve {nearest} and {gain}" in text
 
 
 @pytest.mark.parametrize("name", TABLES)

@@ -494,6 +494,13 @@ def test_a_limit_beyond_that_of_the_task_would_do_nothing_and_is_refused(
     assert taken == [False] * 6 + [True]
 
 
+def test_a_limit_beyond_that_within_a_task_of_dm_control_is_refused():
+    env_id = "dm_control/pendulum-swingup-v0"
+    with pytest.raises(ValueError, match=r"`max_episode_steps` must be at most 1000, .* 1001"):
+        make_environment(EnvironmentConfig(env_id, max_episode_steps=1001))
+    assert make_environment(EnvironmentConfig(env_id, max_episode_steps=1000))
+
+
 def test_a_task_of_gymnasium_robotics_names_its_extra_or_the_mujoco_it_needs(monkeypatch):
     monkeypatch.setitem(sys.modules, "gymnasium_robotics", None)
     with pytest.raises(ImportError, match=r"gymnasium_robotics is missing.*\[robotics\]"):
