@@ -13,7 +13,7 @@ import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
-from torchrl.data import Bounded, LazyTensorStorage, TensorDictReplayBuffer, Unbounded
+from torchrl.data import Bounded, Composite, LazyTensorStorage, TensorDictReplayBuffer, Unbounded
 from torchrl.envs import EnvBase, GymEnv, SerialEnv, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 from torchrl.modules import NormalParamExtractor, ProbabilisticActor, TanhNormal, ValueOperator
@@ -778,6 +778,10 @@ def test_integration_passes_the_check(make: Callable):
 def test_unbounded_actions_are_refused():
     with pytest.raises(ValueError, match="`action_spec` must be bounded"):
         CuriosityTransform(LevelBonus(), action_spec=Unbounded((1,)))
+    elsewhere = Composite(agent=Composite(move=Bounded(-2, 2, (1,))))
+    for make in (CuriosityTransform, BonusLoss):
+        with pytest.raises(ValueError, match=r"an entry 'action', .* \[\('agent', 'move'\)\]"):
+            make(LevelBonus(), action_spec=elsewhere)
 
 
 @pytest.mark.parametrize("bonus", [LevelBonus(), "curiosity", 3, nn.Linear(1, 1)])

@@ -35,9 +35,17 @@ class ActionBox:
         """Range of a bounded spec, or of the entry for the action in a composite one.
 
         Raises:
-            ValueError: If the actions are not bounded.
+            ValueError: If the actions are not bounded, or a composite spec has no such entry.
         """
-        leaf = action_spec[action_key] if isinstance(action_spec, Composite) else action_spec
+        leaf = action_spec
+        if isinstance(action_spec, Composite):
+            leaf = action_spec.get(action_key, None)
+            if leaf is None:
+                entries = [*action_spec.keys(include_nested=True, leaves_only=True)]
+                raise ValueError(
+                    f"`action_spec` must have an entry {action_key!r}, or be the spec of the "
+                    f"action itself, got entries {entries}."
+                )
         if not isinstance(leaf, Bounded):
             raise ValueError(f"`action_spec` must be bounded, got {leaf}.")
         last = (0,) * (leaf.ndim - 1)  # all environments share one range
