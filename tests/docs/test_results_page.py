@@ -137,7 +137,7 @@ def test_the_first_page_says_the_same(page):
     (solved, runs), (plain, _), *others = solved_of_held_out("results").values()
     said = f"it solves {solved:.0f} runs of {runs}, and plain soft actor-critic {plain:.0f}; two "
     nearest, gain = (f"{number:.0f}" for number, _ in others)
-    assert f"{said}other bonuses in the same agent solve {nearest} and {gain}" in text
+    assert f"{said}other bonuses in the same agent solve {nearest} and {gain}." in text
 
 
 @pytest.mark.parametrize("name", TABLES)
