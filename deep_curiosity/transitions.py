@@ -200,6 +200,17 @@ def check_counts(**counts: Any) -> None:
             raise ValueError(f"`{name}` must be at most {MOST}, got {count}.")
 
 
+def check_positive(**values: Any) -> None:
+    """Reject what is not a positive, finite number.
+
+    Raises:
+        ValueError: Naming the first one, and its value.
+    """
+    for name, value in values.items():
+        if not (is_number(value) and value > 0):
+            raise ValueError(f"`{name}` must be positive and finite, got {value}.")
+
+
 def check_single_steps(num_steps: Tensor | None) -> None:
     """Reject outcomes of several steps, from which a model would learn them as one.
 

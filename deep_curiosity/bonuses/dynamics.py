@@ -13,7 +13,7 @@ from torch.nn.functional import softplus
 from deep_curiosity.gaussians import DiagonalMixture
 from deep_curiosity.nn.networks import StackedMLP, assign_rows, log_softmax_of_rest, restore_order
 from deep_curiosity.nn.statistics import HASH_FACTOR, HASH_OFFSET, WHITENINGS, scrambled
-from deep_curiosity.transitions import Transition, check_counts, check_moderate, is_number
+from deep_curiosity.transitions import Transition, check_counts, check_moderate, check_positive
 
 Whitening = Literal["moments", "robust", "saturating"]
 Members = Literal["round_robin", "all"]
@@ -332,8 +332,7 @@ def _check_units(noise_floor: float, whitening: str) -> None:
     if whitening not in WHITENINGS:
         choices = ", ".join(WHITENINGS)
         raise ValueError(f"`whitening` must be one of {choices}, got {whitening!r}.")
-    if not (is_number(noise_floor) and noise_floor > 0):
-        raise ValueError(f"`noise_floor` must be positive and finite, got {noise_floor}.")
+    check_positive(noise_floor=noise_floor)
 
 
 def check_members(num_members: int, members: str) -> None:

@@ -9,7 +9,12 @@ from torch import Tensor, nn
 from deep_curiosity.bonuses.base import Bonus, Policy
 from deep_curiosity.nn.networks import Adam
 from deep_curiosity.nn.statistics import Every
-from deep_curiosity.transitions import Transition, check_counts, check_transition_kind, is_number
+from deep_curiosity.transitions import (
+    Transition,
+    check_counts,
+    check_positive,
+    check_transition_kind,
+)
 
 MOST_ACTION = 1.001  # beyond which no rounding leads
 MOST_LEARNING_RATE = 1.0  # Adam's first step is as long, and weights are about a tenth of it
@@ -35,8 +40,7 @@ class BonusLearner(nn.Module):
         super().__init__()
         if not isinstance(bonus, Bonus):
             raise TypeError(f"`bonus` must be a Bonus, got {type(bonus).__name__}.")
-        if not (is_number(learning_rate) and learning_rate > 0):
-            raise ValueError(f"`learning_rate` must be positive and finite, got {learning_rate}.")
+        check_positive(learning_rate=learning_rate)
         if learning_rate > MOST_LEARNING_RATE:
             raise ValueError(
                 f"`learning_rate` must be at most {MOST_LEARNING_RATE}, got {learning_rate}."

@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from deep_curiosity.transitions import is_number
+from deep_curiosity.transitions import check_positive, is_number
 
 PAST_DECAY = 0.995  # of the remembered earning, for each update: that of usual target networks
 LOG_RANGE = math.log(1e3)  # the factor stays within a thousand of one, either way
@@ -39,8 +39,7 @@ class TunedWeight(nn.Module):
         super().__init__()
         if goal is not None and not is_number(goal):
             raise ValueError(f"`goal` must be finite, got {goal!r}.")
-        if not (is_number(learning_rate) and learning_rate > 0):
-            raise ValueError(f"`learning_rate` must be positive and finite, got {learning_rate}.")
+        check_positive(learning_rate=learning_rate)
         self.goal = goal
         self.learning_rate = learning_rate
         self.register_buffer("log_factor", torch.zeros(()))

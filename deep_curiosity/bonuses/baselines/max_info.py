@@ -9,7 +9,7 @@ from torch import Tensor
 from deep_curiosity.bonuses.baselines.base import BaselineBonus
 from deep_curiosity.bonuses.baselines.disagreement import PointEnsemble, change_of
 from deep_curiosity.bonuses.weight_tuning import TunedWeight
-from deep_curiosity.transitions import Transition, is_number
+from deep_curiosity.transitions import Transition, check_positive
 
 
 class InformationGainBonus(BaselineBonus):
@@ -64,8 +64,7 @@ class InformationGainBonus(BaselineBonus):
             scale=scale,
             refresh_interval=refresh_interval,
         )
-        if not (is_number(noise_std) and noise_std > 0):
-            raise ValueError(f"`noise_std` must be positive and finite, got {noise_std}.")
+        check_positive(noise_std=noise_std)
         self.noise_std = noise_std
         self.asks_policy = tune_weight
         self.tuned_weight = TunedWeight(learning_rate=weight_learning_rate)
