@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from deep_curiosity.experiments.statistics import Estimate, Groups, bootstrap
 from deep_curiosity.experiments.study import Row, Study
-from deep_curiosity.experiments.tables import is_missing, select
+from deep_curiosity.experiments.tables import is_missing, one_for_each_run, select
 
 PANELS_PER_ROW = 3
 LABEL_GAP = 0.06  # of the height of a panel, for a line of the labels beside the curves
@@ -129,7 +129,8 @@ def _plot_column(axes: Axes, study: Study, own: Sequence[Row], column: str) -> N
     """Agents beneath each other where they have names, along an axis where they are numbers."""
     agents = [agent for agent in study.agents if select(own, column, **{study.label: agent})]
     values = [select(own, column, **{study.label: agent}) for agent in agents]
-    estimates = [bootstrap([runs]) for runs in values]
+    runs = one_for_each_run(study, own)
+    estimates = [bootstrap([select(runs, column, **{study.label: agent})]) for agent in agents]
     title = plain(column.replace("_", " "))
     if _is_named(study):
         _plot_intervals(axes, estimates, values)

@@ -28,6 +28,7 @@ from deep_curiosity.experiments.tables import (
     check_outputs,
     is_missing,
     markdown_table,
+    one_for_each_run,
     output_path,
     summarize,
     write_table,
@@ -44,6 +45,8 @@ from deep_curiosity.training.log import write_text
 
 WRITING_SECONDS = 10.0  # from one writing of the tables to the next, while results come
 MANY_TO_COMPARE = 12  # agents: a table of all pairs would be longer than anyone reads
+MORE_IS_BETTER = ("return", "area", "coverage", "success_rate")
+"""Words in the names of columns of which more is better, whatever the task."""
 
 SOLVED = ("solved", "solved_step")
 """Columns of every row, whatever a study measures."""
@@ -339,7 +342,7 @@ def _plot(study: Study, rows: list[Row], curves: list[Row], out: Path) -> None:
         plot_curves(output_path(out, ".png"), study, rows, curves)
     else:
         plot_columns(output_path(out, ".png"), study, rows)
-    joint = study.joint
+    joint, rows = study.joint, one_for_each_run(study, rows)
     if study.curves and have_joint_curve(joint, rows):
         plot_together(output_path(out, "_together.png"), joint, rows, curves)
     elif study.curves:
@@ -348,7 +351,7 @@ def _plot(study: Study, rows: list[Row], curves: list[Row], out: Path) -> None:
 
 def summary_of(study: Study, rows: Sequence[Row]) -> str:
     """Markdown: each task by itself, all of them together, and agents against each other."""
-    joint = study.joint
+    joint, rows = study.joint, one_for_each_run(study, rows)
     parts = [summarize(study, rows), *summarize_together(joint, rows), *compare(joint, rows)]
     return "\n".join(parts)
 
@@ -374,5 +377,7 @@ def compare(study: Study, rows: Sequence[Row]) -> list[str]:
         for agent in others
         if first in groups and agent in groups
     ]
-    header = [f"{first} better than", f"probability, by {column}"]
+    is_better = any(word in column for word in MORE_IS_BETTER)
+    comparison = "better than" if is_better else "has more than"
+    header = [f"{first} {comparison}", f"probability, by {column}"]
     return [markdown_table(header, lines), ""] if lines else []

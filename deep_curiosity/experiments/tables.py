@@ -109,6 +109,25 @@ def select(rows: Sequence[Row], column: str, **where: Any) -> list[Any]:
     return [row[column] for row in rows if all(row[name] == v for name, v in where.items())]
 
 
+def one_for_each_run(study: Study, rows: Sequence[Row]) -> list[Row]:
+    """The rows, where a run has several one with their means: a run counts once in statistics.
+
+    A column of which some of them have no number keeps the mean of the others.
+    """
+    runs: dict[tuple[Any, ...], list[Row]] = {}
+    for row in rows:
+        runs.setdefault((row["task"], row[study.label], row["seed"]), []).append(row)
+    return [
+        own[-1] if len(own) == 1 else own[-1] | {name: _mean(own, name) for name in study.columns}
+        for own in runs.values()
+    ]
+
+
+def _mean(rows: Sequence[Row], column: str) -> float | None:
+    known = [float(row[column]) for row in rows if not is_missing(row[column])]
+    return standard.fmean(known) if known else None
+
+
 def summarize(study: Study, rows: Sequence[Row]) -> str:
     """Markdown: for each task and agent the interquartile mean of every column, with intervals."""
     header = ["task", study.label, "runs solved", *(c.replace("_", " ") for c in study.columns)]

@@ -7,12 +7,14 @@ import pytest
 
 from deep_curiosity.benchmark.run import INTRODUCTION, run_benchmark
 from deep_curiosity.benchmark.sections import Benchmark
+from deep_curiosity.experiments.grid import summary_of
 from deep_curiosity.experiments.paper.page import TITLE, write_paper
 from deep_curiosity.experiments.study import Study, Task
 from deep_curiosity.experiments.tables import (
     check_page,
     markdown_table,
     median_and_range,
+    one_for_each_run,
     read_table,
     summarize,
     write_table,
@@ -149,3 +151,33 @@ def test_a_table_that_cannot_be_written_leaves_the_one_before(tmp_path, monkeypa
     with pytest.raises(OSError, match="No space"):
         write_table(path, [{"task": 2}])
     assert path.read_text() == "task\n1\n"
+
+
+def test_a_run_that_has_several_rows_counts_once():
+    rows = [
+        {"task": "maze", "agent": "a", "seed": seed, "solved": 1, "evaluation_return": value}
+        for seed, values in enumerate([[0.0, 2.0, None], [3.0]])
+        for value in values
+    ]
+    once = one_for_each_run(NAMED, rows)
+    assert [row["evaluation_return"] for row in once] == [1.0, 3.0]
+    summary = summary_of(NAMED, rows)
+    assert "| maze | a | 2 of 2 | 2 [1, 3] |" in summary
+
+
+@pytest.mark.parametrize(
+    ("column", "words"),
+    [
+        ("evaluation_return", "a better than"),
+        ("return_at_0.5", "a better than"),
+        ("area", "a better than"),
+        ("solved_step", "a has more than"),
+        ("noisy_time", "a has more than"),
+    ],
+)
+def test_an_agent_is_called_better_where_more_is_better(column, words):
+    study = replace(NAMED, columns=(column,))
+    rows = [
+        {"task": "maze", "agent": agent, "seed": 0, "solved": "", column: 1.0} for agent in "ab"
+    ]
+    assert f"| {words} |" in summary_of(study, rows)
