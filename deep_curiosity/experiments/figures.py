@@ -129,8 +129,8 @@ def _plot_column(axes: Axes, study: Study, own: Sequence[Row], column: str) -> N
     """Agents beneath each other where they have names, along an axis where they are numbers."""
     agents = [agent for agent in study.agents if select(own, column, **{study.label: agent})]
     values = [select(own, column, **{study.label: agent}) for agent in agents]
-    runs = one_for_each_run(study, own)
-    estimates = [bootstrap([select(runs, column, **{study.label: agent})]) for agent in agents]
+    counted = one_for_each_run(study, own)
+    estimates = [bootstrap([select(counted, column, **{study.label: agent})]) for agent in agents]
     title = plain(column.replace("_", " "))
     if _is_named(study):
         _plot_intervals(axes, estimates, values)
