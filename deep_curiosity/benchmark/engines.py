@@ -26,7 +26,7 @@ from deep_curiosity.experiments.engines.local import LocalEngine
 from deep_curiosity.experiments.engines.ray import RayEngine
 from deep_curiosity.experiments.grid import run_study
 from deep_curiosity.experiments.study import Row, Study, Task
-from deep_curiosity.experiments.tables import write_table
+from deep_curiosity.experiments.tables import check_outputs, write_table
 from deep_curiosity.training.config import Config
 from deep_curiosity.training.log import CONFIG, SUMMARY
 from deep_curiosity.training.loop import train
@@ -113,6 +113,9 @@ TIMED: dict[Runner, Callable[[int, int, Path], float]] = {
 
 def main(args: Args) -> None:
     """Time all runners in turns, and write a row for each turn."""
+    check_outputs(
+        args.out.with_suffix(""), [args.out.suffix], column="runner", owner="this timing"
+    )
     rows: list[Row] = []
     for number in range(args.rounds):
         for name in args.runners if number % 2 == 0 else reversed(args.runners):
@@ -124,9 +127,10 @@ def main(args: Args) -> None:
                 | {"steps_per_second": runs * args.steps / seconds, "commit": source_commit()}
             )
             write_table(args.out, rows)
-    times_one_worker = rate_over(rows, ALONE)
+    beside = rate_over(rows, ALONE) if ALONE in args.runners else None
     for (runner,), own in grouped(rows, "runner").items():
-        print(f"{runner}: {summarize(own, 'seconds')} s, {summarize(own, times_one_worker)} times")
+        times = "" if beside is None else f", {summarize(own, beside)} times"
+        print(f"{runner}: {summarize(own, 'seconds')} s{times}")
 
 
 if __name__ == "__main__":

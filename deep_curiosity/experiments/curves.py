@@ -11,7 +11,7 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from deep_curiosity.experiments.figures import draw_curve, estimate_curve, label_beside
+from deep_curiosity.experiments.figures import draw_curve, estimate_curve, label_beside, plain
 from deep_curiosity.experiments.study import Row
 from deep_curiosity.training.config import IGNORED, run_key
 from deep_curiosity.training.log import CONFIG, PROGRESS, SUMMARY, parse_progress, read_values
@@ -240,7 +240,7 @@ def plot_png(path: Path, runs: Sequence[RunCurves], tags: Sequence[str]) -> None
                     draw_curve(axes, steps, estimates, f"C{number}")
                     count = sum((run.task, run.agent) == (task, agent) for run in runs)
                     ends[f"{agent} ({count})", f"C{number}"] = estimates[-1].value
-            axes.set(title=task, xlabel="environment steps", ylabel=tag)
+            axes.set(title=plain(task), xlabel="environment steps", ylabel=plain(tag))
             label_beside(axes, ends)
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=120)

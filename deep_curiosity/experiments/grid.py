@@ -175,7 +175,30 @@ def run_study(
 
 def _job(cell: Cell) -> Job:
     speed = cell.planned.speed
-    return make_job(cell.study.run, cell, threads=speed.threads, device=speed.device)
+    return make_job(run_cell, cell, threads=speed.threads, device=speed.device)
+
+
+def run_cell(cell: Cell) -> Result:
+    """See to one run, and refuse what is no result, so that it alone is listed as failed.
+
+    Raises:
+        TypeError: If the study's `run` returns no result, or rows or points that are none.
+        ValueError: If a row has a column that the study gives it, or a point no step or return.
+    """
+    result = cell.study.run(cell)
+    if not isinstance(result, Result):
+        raise TypeError(f"`run` must return a Result, got {result!r}.")
+    for name in ("rows", "curve"):
+        lines = getattr(result, name)
+        if not isinstance(lines, list) or not all(isinstance(each, dict) for each in lines):
+            raise TypeError(f"`{name}` of a result must be a list of dictionaries, got {lines!r}.")
+    for row in result.rows:
+        if own := sorted({"task", "seed"} & set(row)):
+            raise ValueError(f"`rows` must leave {', '.join(own)} to the study, got {row}.")
+    for point in result.curve:
+        if lacking := sorted({"step", "evaluation_return"} - set(point)):
+            raise ValueError(f"`curve` must have {', '.join(lacking)}, got {point}.")
+    return result
 
 
 class Records:
@@ -303,7 +326,11 @@ def _solved(measured: Row, curve: Sequence[Row], needed: float) -> Row:
     if "evaluation_return" not in measured or math.isnan(needed):
         return {"solved": "", "solved_step": None}
     score = measured["evaluation_return"]
-    steps = [point["step"] for point in curve if point["evaluation_return"] >= needed]
+    steps = [
+        point["step"]
+        for point in curve
+        if not is_missing(point["evaluation_return"]) and point["evaluation_return"] >= needed
+    ]
     solved = not is_missing(score) and score >= needed
     return {"solved": int(solved), "solved_step": min(steps, default=None)}
 
@@ -339,7 +366,8 @@ def _plot(study: Study, rows: list[Row], curves: list[Row], out: Path) -> None:
     if not rows:
         output_path(out, ".png").unlink(missing_ok=True)
     elif study.curves:
-        plot_curves(output_path(out, ".png"), study, rows, curves)
+        once = one_for_each_run(study, rows)
+        plot_curves(output_path(out, ".png"), study, once, curves)
     else:
         plot_columns(output_path(out, ".png"), study, rows)
     joint, rows = study.joint, one_for_each_run(study, rows)

@@ -1,12 +1,13 @@
 """What a search for settings is: tasks, the settings that vary, and how returns are compared."""
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from deep_curiosity.configuration import flat
-from deep_curiosity.experiments.study import Task
+from deep_curiosity.configuration import check_range, flat
+from deep_curiosity.experiments.study import CHOSEN, Task, check_folders
 from deep_curiosity.experiments.tables import check_outputs
 from deep_curiosity.training.config import config_key
 
@@ -37,7 +38,8 @@ class Search:
         """Check that every task can be scored, and every setting be set.
 
         Raises:
-            TypeError: If a setting is none of the tasks', or its values are no distribution.
+            TypeError: If a setting is none of the tasks', its values are no distribution, or a
+                choice is neither text, a number, True, False nor None, as Optuna keeps no other.
             ValueError: If there is nothing to choose, a task has no range, or a setting cannot
                 have a value that may be drawn, as far as that is known without all the others.
         """
@@ -46,9 +48,17 @@ class Search:
                 "`space` and `tasks` must have an entry each, "
                 f"got {len(self.space)} and {len(self.tasks)}."
             )
+        check_range("seeds", self.seeds, {"at_most": 10_000})
+        check_range("first_seed", self.first_seed, {"at_least": 0})
+        check_folders([task.name for task in self.tasks])
+        if chosen := sorted(set(self.space) & set(CHOSEN)):
+            raise ValueError(
+                "`space` must leave to the search what it gives each run of its own, "
+                f"got {', '.join(chosen)}."
+            )
         for task in self.tasks:
             low, high = self.ranges.get(task.name, (0.0, 0.0))
-            if not low < high:
+            if not -math.inf < low < high < math.inf:
                 raise ValueError(
                     f"`ranges` must give two rising returns for {task.name}, got {low} and {high}."
                 )
@@ -67,6 +77,12 @@ class Search:
                 raise TypeError(
                     f"`space` must hold distributions of Optuna, got {values!r} for {name}."
                 )
+            for choice in getattr(values, "choices", ()):
+                if not isinstance(choice, str | bool | int | float | None):
+                    raise TypeError(
+                        "`space` must hold choices that are text, numbers, True, False or None, "
+                        f"got {choice!r} for {name}."
+                    )
         for task in self.tasks:
             for name, values in self.space.items():
                 for end in _ends(values):

@@ -78,9 +78,10 @@ def probability_of_improvement(first: Groups, second: Groups, *, seed: int = 0) 
     random = np.random.default_rng(seed)
     values, resampled = [], []
     for one, other in zip(first, second, strict=True):
-        wins = np.sign(np.subtract.outer(one, other)) / 2 + 0.5  # runs runs
-        ours, theirs = (_resampled_counts(random, len(wins)) for _ in range(2))
-        resampled.append(((ours @ wins) * theirs).sum(1) / wins.size)
+        ours, theirs = np.asarray([one, other], dtype=float)  # truth values, too
+        wins = np.sign(np.subtract.outer(ours, theirs)) / 2 + 0.5  # runs runs
+        drawn, against = (_resampled_counts(random, len(wins)) for _ in range(2))
+        resampled.append(((drawn @ wins) * against).sum(1) / wins.size)
         values.append(wins.mean())
     return Estimate(float(np.mean(values)), *_interval(np.mean(resampled, axis=0)))
 

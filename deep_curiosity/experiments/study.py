@@ -101,7 +101,7 @@ class Study:
         for name, known in (("tasks", tasks), ("agents", agents)):
             if not known or len(set(known)) < len(known):
                 raise ValueError(f"`{name}` must have names, each of its own, got {known}.")
-        self._check_folders(tasks, agents)
+        check_folders(tasks, agents)
         self._check_columns()
         self._check_agents()
         if self.run is run_own:
@@ -112,21 +112,6 @@ class Study:
         """The study of the tasks of which something is said together; of all where none is."""
         tasks = [task for task in self.tasks if not task.is_shown_apart]
         return replace(self, tasks=tasks or self.tasks)
-
-    @staticmethod
-    def _check_folders(tasks: Sequence[str], agents: Sequence[str]) -> None:
-        """Refuse names by which a run would have no folder of its own below the study's."""
-        for name in (*tasks, *agents):
-            if not name or Path(name).is_absolute() or ".." in Path(name).parts:
-                raise ValueError(
-                    f"`tasks` and `agents` must have names that folders can have, got {name!r}."
-                )
-        folders = Counter(Path(task, agent) for task in tasks for agent in agents)
-        if twice := [str(folder) for folder, count in folders.items() if count > 1]:
-            raise ValueError(
-                "`tasks` and `agents` must give each run a folder of its own, got "
-                f"{', '.join(twice)} for several."
-            )
 
     def _check_columns(self) -> None:
         """Refuse columns that are no names, and a label that is one of the rows' columns."""
@@ -158,6 +143,25 @@ class Study:
                     task.config.override(**settings)
                 except (TypeError, ValueError) as error:
                     raise type(error)(f"agent {label!r} on {task.name}: {error}") from error
+
+
+def check_folders(tasks: Sequence[str], agents: Sequence[str] = ("agent",)) -> None:
+    """Refuse names by which a run would have no folder of its own below the study's.
+
+    Raises:
+        ValueError: Naming them.
+    """
+    for name in (*tasks, *agents):
+        if not name or Path(name).is_absolute() or ".." in Path(name).parts:
+            raise ValueError(
+                f"`tasks` and `agents` must have names that folders can have, got {name!r}."
+            )
+    folders = Counter(Path(task, agent) for task in tasks for agent in agents)
+    if twice := [str(folder) for folder, count in folders.items() if count > 1]:
+        raise ValueError(
+            "`tasks` and `agents` must give each run a folder of its own, got "
+            f"{', '.join(twice)} for several."
+        )
 
 
 @dataclass(frozen=True)

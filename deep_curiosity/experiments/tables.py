@@ -6,6 +6,7 @@ import math
 import statistics as standard
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import Any
 
 from deep_curiosity.experiments.statistics import Groups, bootstrap, rank_correlation
@@ -53,7 +54,9 @@ def check_outputs(out: Path, endings: Iterable[str], *, column: str, owner: str)
 
     Raises:
         FileExistsError: Naming the files.
+        OSError: If nothing can be written there.
     """
+    _check_writable(out)
     there = [path for end in endings if (path := output_path(out, end)).exists()]
     table = output_path(out, ".csv")
     own = table.is_file() and table.read_text(errors="replace").startswith(f"{column},")
@@ -62,6 +65,18 @@ def check_outputs(out: Path, endings: Iterable[str], *, column: str, owner: str)
             f"`out` must name new files, or those of {owner}, got "
             f"{', '.join(map(str, there))}; choose another path."
         )
+
+
+def _check_writable(out: Path) -> None:
+    """Refuse a place where nothing can be written, before anything is computed."""
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with TemporaryFile(dir=out.parent):
+            pass
+    except OSError as error:
+        raise type(error)(
+            f"`out` must name files in a folder that can be written to, got {out}: {error}"
+        ) from error
 
 
 def check_page(folder: Path, title: str) -> None:
@@ -90,13 +105,19 @@ def check_page(folder: Path, title: str) -> None:
 
 
 def markdown_table(header: Sequence[str], lines: Sequence[Sequence[str]]) -> str:
-    """Table in Markdown."""
-    return "\n".join(f"| {' | '.join(line)} |" for line in (header, ["---"] * len(header), *lines))
+    """Table in Markdown; bars and line breaks of names are no longer such."""
+    cells = [
+        [" ".join(cell.replace("|", "\\|").splitlines()) for cell in line]
+        for line in (header, ["---"] * len(header), *lines)
+    ]
+    return "\n".join(f"| {' | '.join(line)} |" for line in cells)
 
 
 def median_and_range(values: Sequence[float | int | None]) -> str:
     """`median [lowest, highest]`; a value that is missing counts as never, above all others."""
-    known = sorted(math.inf if value is None else float(value) for value in values)
+    known = sorted(math.inf if is_missing(value) else float(value) for value in values)  # type: ignore[arg-type]
+    if known[0] == math.inf:
+        return "never"
     shown = [
         f"{value:.4g}" if math.isfinite(value) else "never"
         for value in (standard.median(known), known[0], known[-1])
@@ -104,7 +125,7 @@ def median_and_range(values: Sequence[float | int | None]) -> str:
     return "{} [{}, {}]".format(*shown)
 
 
-def select(rows: Sequence[Row], column: str, **where: Any) -> list[Any]:
+def select(rows: Sequence[Row], column: str, /, **where: Any) -> list[Any]:
     """Values of a column where other columns have some values, in the order of the rows."""
     return [row[column] for row in rows if all(row[name] == v for name, v in where.items())]
 
@@ -129,8 +150,20 @@ def _mean(rows: Sequence[Row], column: str) -> float | None:
 
 
 def summarize(study: Study, rows: Sequence[Row]) -> str:
-    """Markdown: for each task and agent the interquartile mean of every column, with intervals."""
-    header = ["task", study.label, "runs solved", *(c.replace("_", " ") for c in study.columns)]
+    """Markdown: for each task and agent the interquartile mean of every column, with intervals.
+
+    Of steps, where one that is missing was never reached by some run, median and range.
+    """
+    never = {
+        column
+        for column in study.columns
+        if column.endswith("step") and any(is_missing(row[column]) for row in rows)
+    }
+    titles = [
+        f"{column.replace('_', ' ')}{', median and range' if column in never else ''}"
+        for column in study.columns
+    ]
+    header = ["task", study.label, "runs solved", *titles]
     lines = []
     for task in study.tasks:
         for agent in study.agents:
@@ -139,7 +172,11 @@ def summarize(study: Study, rows: Sequence[Row]) -> str:
             if not solved:
                 continue
             counted = "-" if "" in solved else f"{sum(solved)} of {len(solved)}"
-            cells = [_estimate(column, select(rows, column, **where)) for column in study.columns]
+            cells = [
+                median_and_range(values) if column in never else _estimate(values)
+                for column in study.columns
+                for values in [select(rows, column, **where)]
+            ]
             lines.append([task.name, str(agent), counted, *cells])
     return "\n".join([markdown_table(header, lines) + "\n", *_rank_correlations(study, rows)])
 
@@ -149,16 +186,11 @@ def is_missing(value: float | str | None) -> bool:
     return value is None or value == "" or math.isnan(float(value))
 
 
-def _estimate(column: str, values: Sequence[float | None]) -> str:
-    """Interquartile mean with its interval, of the runs that have a value, and how many do.
-
-    Of steps, where one that is missing was never reached, median and range.
-    """
+def _estimate(values: Sequence[float | None]) -> str:
+    """Interquartile mean with its interval, of the runs that have a value, and how many do."""
     known = [float(each) for each in values if not is_missing(each)]  # type: ignore[arg-type]
     if not known:
         return ""
-    if len(known) < len(values) and column.endswith("step"):
-        return median_and_range(values)
     return counted_estimate([known], len(values))
 
 

@@ -7,6 +7,7 @@ Reference: Agarwal et al., "Deep Reinforcement Learning at the Edge of the Stati
 import math
 from collections.abc import Mapping, Sequence
 from itertools import chain
+from numbers import Real
 from pathlib import Path
 
 import numpy as np
@@ -39,24 +40,30 @@ def are_comparable(study: Study) -> bool:
 def is_measured(rows: Sequence[Row], column: str) -> bool:
     """Whether runs have numbers in a column, or nothing, which a study's own measure decides."""
     values = [row.get(column, "") for row in rows]
-    are_numbers = all(value is None or isinstance(value, int | float) for value in values)
+    are_numbers = all(value is None or isinstance(value, Real) for value in values)
     return are_numbers and not all(map(is_missing, values))
 
 
 def have_joint_curve(study: Study, rows: Sequence[Row]) -> bool:
     """Whether the runs of an agent at least can be shown together."""
-    is_known = is_measured(rows, "evaluation_return")
+    is_known = is_measured(_of(study, rows), "evaluation_return")
     return are_comparable(study) and is_known and bool(complete_agents(study, rows))
 
 
+def _of(study: Study, rows: Sequence[Row]) -> list[Row]:
+    """The rows of the tasks of a study."""
+    tasks = [task.name for task in study.tasks]
+    return [row for row in rows if row["task"] in tasks]
+
+
 def complete_agents(study: Study, rows: Sequence[Row]) -> list[str | float]:
-    """The agents that have the same seeds of each task as the one with most runs."""
+    """The agents that have every seed of each task that any has."""
     seeds = {
-        agent: [sorted(select(rows, "seed", task=task.name, agent=agent)) for task in study.tasks]
+        agent: [set(select(rows, "seed", task=task.name, agent=agent)) for task in study.tasks]
         for agent in study.agents
     }
-    most = max(seeds.values(), key=lambda own: sum(map(len, own)))
-    return [agent for agent, own in seeds.items() if own == most and all(own)]
+    wanted = [set().union(*own) for own in zip(*seeds.values(), strict=True)]
+    return [agent for agent, own in seeds.items() if own == wanted and all(own)]
 
 
 def groups_of(
@@ -80,7 +87,7 @@ def summarize_together(study: Study, rows: Sequence[Row]) -> list[str]:
     """Markdown: for each agent how much it solved of all tasks, and how well, with intervals."""
     if not are_comparable(study):
         return []
-    columns = [column for column in COLUMNS if is_measured(rows, column)]
+    columns = [column for column in COLUMNS if is_measured(_of(study, rows), column)]
     lines = []
     for agent in complete_agents(study, rows):
         solved = [*chain(*groups_of(study, rows, agent, "solved"))]
@@ -89,8 +96,8 @@ def summarize_together(study: Study, rows: Sequence[Row]) -> list[str]:
         ]
         lines.append([str(agent), f"{solved.count(1)} of {len(solved)}", *estimates])
     header = ["all tasks", "runs solved", *(f"{name}, solved is 1" for name in columns)]
-    table = markdown_table([text.replace("_", " ") for text in header], lines)
-    return [table, "", *_left_out(study, rows)]
+    table = [markdown_table([text.replace("_", " ") for text in header], lines), ""]
+    return [*(table if lines else []), *_left_out(study, rows)]
 
 
 def _estimate(groups: Groups) -> str:
@@ -166,21 +173,22 @@ def _has_curves(
 
 def _curve(study: Study, curves: Sequence[Row], agent: str | float) -> list[Estimate]:
     """Interquartile mean of the latest evaluations, at each share of the budgets."""
-    groups = [_latest(task, curves, agent) for task in study.tasks]  # tasks x runs x shares
+    groups = [_latest(study, task, curves, agent) for task in study.tasks]  # tasks x runs x shares
     return [
         bootstrap([runs[:, place].tolist() for runs in groups]) for place in range(len(SHARES))
     ]
 
 
-def _latest(task: Task, curves: Sequence[Row], agent: str | float) -> np.ndarray:
+def _latest(study: Study, task: Task, curves: Sequence[Row], agent: str | float) -> np.ndarray:
     """For each run its latest evaluation at each share of its steps; 0 before the first."""
+    total_steps = study.agents[agent].get("total_steps", task.config.run.total_steps)
     own = [row for row in curves if (row["task"], row["agent"]) == (task.name, agent)]
     latest = []
     for seed in dict.fromkeys(row["seed"] for row in own):
         taken = select(own, "step", seed=seed)
-        steps = np.minimum(taken, task.config.run.total_steps)  # several environments overshoot
+        steps = np.minimum(taken, total_steps)  # several environments overshoot
         values = np.array([0.0, *select(own, "evaluation_return", seed=seed)])
-        number = np.searchsorted(steps, SHARES * task.config.run.total_steps, side="right")
+        number = np.searchsorted(steps, SHARES * total_steps, side="right")
         latest.append(values[number] / task.solved_return)
     return np.array(latest)
 

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal
+from urllib.parse import quote
 
 import numpy as np
 import optuna
@@ -119,7 +120,7 @@ def open_study(
     runs.mkdir(parents=True, exist_ok=True)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     study = optuna.create_study(
-        storage=_open_storage(f"sqlite:///{runs / 'trials.db'}" if storage is None else storage),
+        storage=_open_storage(_url_of(runs / "trials.db") if storage is None else storage),
         study_name=runs.name,
         direction="maximize",
         pruner=_make_pruner(search, pruner),
@@ -144,6 +145,11 @@ def _claim(study: optuna.Study, search: Search) -> None:
             f"`runs` must hold no trials of another search, got {study.study_name}, whose "
             f"{', '.join(differing)} differ; name another folder."
         )
+
+
+def _url_of(path: Path) -> str:
+    """URL of a SQLite file, whatever letters its path has."""
+    return f"sqlite:///file:{quote(str(path))}?uri=true"
 
 
 def _open_storage(storage: str) -> optuna.storages.RDBStorage:
@@ -397,12 +403,14 @@ def write_search(study: optuna.Study, out: Path) -> None:
     if complete:
         write_json(output_path(out, ".json"), study.best_params)
         scores = [math.nan if each.value in (None, VERY_POOR) else each.value for each in trials]
-        plot_search(output_path(out, ".png"), scores, importances(study, len(complete)))
+        plot_search(output_path(out, ".png"), scores, importances(study))
     else:
         for ending in (".json", ".png"):
             output_path(out, ending).unlink(missing_ok=True)
 
 
-def importances(study: optuna.Study, num_complete: int) -> dict[str, float]:
-    """Share of each setting in how scores differ; empty where there are too few."""
-    return dict(optuna.importance.get_param_importances(study)) if num_complete > 1 else {}
+def importances(study: optuna.Study) -> dict[str, float]:
+    """Share of each setting in how scores differ; empty where there are too few, or none does."""
+    complete = study.get_trials(deepcopy=False, states=(TrialState.COMPLETE,))
+    differ = len({each.value for each in complete}) > 1
+    return dict(optuna.importance.get_param_importances(study)) if differ else {}

@@ -11,7 +11,7 @@ import json
 import sys
 import textwrap
 from collections.abc import Sequence
-from dataclasses import field, make_dataclass
+from dataclasses import field, make_dataclass, replace
 from functools import cache
 from itertools import zip_longest
 from pathlib import Path
@@ -21,7 +21,7 @@ import tyro
 
 from deep_curiosity.arguments import check_folder, read_arguments
 from deep_curiosity.bonuses.config import BONUS_CONFIGS
-from deep_curiosity.configuration import Setting, flat
+from deep_curiosity.configuration import Setting, coerce, flat, unknown_setting
 from deep_curiosity.training.config import IGNORED, PRESETS, Config, merge_config
 from deep_curiosity.training.log import read_config
 
@@ -103,17 +103,16 @@ def parse(
     given = ["--help" if argument == "--help-all" else argument for argument in given]
     resume = _peek(given, "--resume")
     own = Config() if resume is None else _read_own(resume)
-    base = own
-    if (path := _peek(given, "--settings")) is not None:
-        base = base.override(**read_file(Path(path)))
-    base = base.override(
-        _known(_peek(given, "--preset"), PRESETS),
-        bonus=_known(_peek(given, "--bonus"), BONUS_CONFIGS) or base.bonus,
-    )
+    path = _peek(given, "--settings")
+    file = {} if path is None else read_file(Path(path))
+    preset = _known(_peek(given, "--preset"), PRESETS)
+    bonus = _known(_peek(given, "--bonus"), BONUS_CONFIGS)
+    base = own.override(preset, bonus=bonus or file.get("bonus", own.bonus))
     _refuse_of_other_bonuses(given, base)
-    kind = _command_class(base, show_all)
+    settings = _with_file(base, file, preset)
+    kind = _command_class(settings, base.bonus.kind, show_all)
     read = vars(read_arguments(kind, given, description=description, prog=prog))
-    values = {name: _from_text(each, read[name]) for name, each in flat(base).items()}
+    values = {name: _from_text(each, read[name]) for name, each in settings.items()}
     config = base.override(**values)
     if resume is None:
         if read["new_episode"]:
@@ -167,6 +166,29 @@ def _known(value: str | None, choices: Any) -> str | None:
     return value if value in choices else None
 
 
+def _with_file(base: Config, file: dict[str, Any], preset: str | None) -> dict[str, Setting]:
+    """All settings, those of a file in their places; they are checked together with the flags.
+
+    What the file says of its own bonus is left out where a flag names another one, and what a
+    preset says that is given goes before it.
+
+    Raises:
+        TypeError: If there is no such setting, or a value has the wrong type.
+        ValueError: If text cannot be read.
+    """
+    settings = flat(base)
+    left_out = {"bonus", *(PRESETS[preset] if preset else ())}
+    if file.get("bonus", base.bonus.kind) != base.bonus.kind:
+        left_out |= set(flat(Config.of(bonus=file["bonus"]))) - set(settings)
+    for name, value in file.items():
+        if name not in {*settings, *left_out}:
+            raise unknown_setting(name, settings)
+        if name not in left_out:
+            each = settings[name]
+            settings[name] = replace(each, value=coerce(name, each.annotation, value))
+    return settings
+
+
 def _refuse_of_other_bonuses(arguments: list[str], base: Config) -> None:
     """Name the bonus whose setting is given; the parser only says that there is none here.
 
@@ -185,7 +207,7 @@ def _refuse_of_other_bonuses(arguments: list[str], base: Config) -> None:
             )
 
 
-def _command_class(base: Config, show_all: bool) -> type:
+def _command_class(settings: dict[str, Setting], bonus_kind: str, show_all: bool) -> type:
     """One flat dataclass of all settings, as tyro reads it."""
     bonus = Annotated[Literal[tuple(BONUS_CONFIGS)], tyro.conf.arg(help=BONUS_HELP)]  # type: ignore[valid-type]
     preset = Annotated[Literal[tuple(PRESETS)], tyro.conf.arg(help=PRESET_HELP)]  # type: ignore[valid-type]
@@ -195,13 +217,13 @@ def _command_class(base: Config, show_all: bool) -> type:
     anew = Annotated[bool, tyro.conf.arg(help=NEW_EPISODE_HELP)]
     own: list[Any] = [
         ("resume", resumed, field(default=None)),
-        ("bonus", bonus, field(default=base.bonus.kind)),
+        ("bonus", bonus, field(default=bonus_kind)),
         ("preset", preset, field(default="fast")),
         ("settings", file, field(default=None)),
         ("stop_when_solved", solved, field(default=None)),
         ("new_episode", anew, field(default=False)),
     ]
-    for name, each in flat(base).items():
+    for name, each in settings.items():
         hidden = () if show_all or name in COMMON else (tyro.conf.Suppress,)
         argument = tyro.conf.arg(help=help_of(each))
         annotation = Annotated[(_annotation(each), argument, *hidden)]  # type: ignore[valid-type]

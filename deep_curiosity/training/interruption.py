@@ -38,18 +38,21 @@ class Interruption:
 
 _caught: list[Interruption] = []
 """Those of the blocks that the main thread is in."""
+_of_threads: dict[int, Interruption] = {}
+"""Those of other threads, which hear no signal, by the number of the thread."""
 
 
 @contextmanager
 def catch_interruption() -> Iterator[Interruption]:
     """Turn Ctrl-C and SIGTERM into a request inside the block.
 
-    Threads other than the main one keep theirs.
+    Threads other than the main one hear no signal; who started one may `interrupt_thread`.
     """
-    interruption = Interruption()
     if threading.current_thread() is not threading.main_thread():
-        yield interruption
+        with interruptible_thread() as number:
+            yield _of_threads.setdefault(number, Interruption())
         return
+    interruption = Interruption()
     previous = [signal.signal(number, interruption.request) for number in SIGNALS]
     _caught.append(interruption)
     try:
@@ -61,8 +64,26 @@ def catch_interruption() -> Iterator[Interruption]:
 
 
 def is_interrupted() -> bool:
-    """Whether a stop was requested of the block that the process is in."""
-    return bool(_caught) and _caught[-1].requested
+    """Whether a stop was requested of the block that the thread is in."""
+    if threading.current_thread() is threading.main_thread():
+        return bool(_caught) and _caught[-1].requested
+    own = _of_threads.get(threading.get_ident())
+    return own is not None and own.requested
+
+
+@contextmanager
+def interruptible_thread() -> Iterator[int]:
+    """Give the number by which the thread can be interrupted until the end of the block."""
+    number = threading.get_ident()
+    try:
+        yield number
+    finally:
+        _of_threads.pop(number, None)
+
+
+def interrupt_thread(number: int) -> None:
+    """Request a stop of what another thread does, or is about to do."""
+    _of_threads.setdefault(number, Interruption()).requested = True
 
 
 @contextmanager

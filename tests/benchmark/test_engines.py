@@ -26,6 +26,17 @@ def test_every_runner_has_its_turn_and_is_compared_within_a_round(tmp_path, monk
     assert "local, 2 workers: 4 [3, 5] s, 2.467 [1.6, 3.333] times" in capsys.readouterr().out
 
 
+def test_without_one_worker_there_is_nothing_to_compare_with(tmp_path, monkeypatch, capsys):
+    monkeypatch.setitem(engines.TIMED, "local, 2 workers", lambda *turn: 4.0)
+    out = tmp_path / "engines.csv"
+    arguments = engines.Args(rounds=1, runs=2, steps=100, runners=("local, 2 workers",), out=out)
+    engines.main(arguments)
+    assert "local, 2 workers: 4 [4, 4] s\n" in capsys.readouterr().out
+    out.write_text("mine,and\n1,2\n")
+    with pytest.raises(FileExistsError, match="`out` must name new files"):
+        engines.main(arguments)
+
+
 @pytest.mark.parametrize(
     ("settings", "message"),
     [

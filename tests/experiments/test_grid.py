@@ -3,6 +3,7 @@ import json
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -463,3 +464,39 @@ def test_a_finished_run_is_read_where_it_lies_and_first_in_its_own_folder(small_
     (own.folder / "config.json").unlink()
     finish(own.config)
     assert cells_of(*places)[0].folder == own.folder
+
+
+@pytest.mark.parametrize(
+    ("returned", "message"),
+    [
+        (None, "TypeError: `run` must return a Result, got None"),
+        (Result([1.0], [], {}), "TypeError: `rows` of a result must be a list of dictionaries"),
+        (Result([{"seed": 1}], [], {}), "ValueError: `rows` must leave seed to the study"),
+        (Result([], [{"step": 1}], {}), "ValueError: `curve` must have evaluation_return"),
+    ],
+)
+def test_what_is_no_result_fails_alone(tmp_path, capsys, returned, message):
+    def run(cell):
+        return returned if cell.seed == 0 else Result([{"evaluation_return": 1.0}], [], {})
+
+    study = Study(
+        [Task("maze", Config())], {"a": {}}, seeds=2, columns=("evaluation_return",), run=run
+    )
+    with ThreadPoolExecutor(1) as executor:
+        places = {"runs": tmp_path / "runs", "out": tmp_path / "table"}
+        assert run_study(study, **places, executor=executor) == 1
+    assert message in capsys.readouterr().err
+    assert [row["seed"] for row in table(tmp_path / "table")] == ["1"]
+
+
+def test_an_evaluation_without_a_return_solves_nothing():
+    curve = [{"step": 1, "evaluation_return": None}, {"step": 2, "evaluation_return": 3.0}]
+    study = Study([Task("maze", Config(), 2.0)], {"a": {}}, seeds=1)
+    (cell,) = cells_of(study, Path("runs"))
+    rows, _ = collect([cell], {0: Result([{"evaluation_return": 3.0}], curve, {})})
+    assert (rows[0]["solved"], rows[0]["solved_step"]) == (1, 2)
+
+
+def test_the_names_of_the_tables_columns_can_be_labels(tmp_path, make_rows):
+    study = Study([Task("maze", Config())], {"a": {}}, label="column", columns=("area",))
+    assert "| maze | a | 1 of 2 |" in grid.summary_of(study, make_rows(study, len))

@@ -116,3 +116,8 @@ def test_equal_values_share_the_mean_of_their_ranks():
 def test_what_has_no_order_has_no_rank_correlation(values):
     assert math.isnan(rank_correlation([1, 2, 3], values))
     assert math.isnan(rank_correlation(values, [1, 2, 3]))
+
+
+def test_truth_values_are_compared_like_numbers():
+    found = probability_of_improvement([[True, False]], [[False, False]])
+    assert found.value == 0.75

@@ -1,4 +1,5 @@
 import csv
+import math
 from dataclasses import replace
 from importlib import resources
 from pathlib import Path
@@ -11,6 +12,7 @@ from deep_curiosity.experiments.grid import summary_of
 from deep_curiosity.experiments.paper.page import TITLE, write_paper
 from deep_curiosity.experiments.study import Study, Task
 from deep_curiosity.experiments.tables import (
+    check_outputs,
     check_page,
     markdown_table,
     median_and_range,
@@ -51,6 +53,36 @@ def test_markdown():
 def test_a_value_that_is_missing_counts_as_later_than_any():
     assert median_and_range([100, None, 300]) == "300 [100, never]"
     assert median_and_range([1.0, 2.0]) == "1.5 [1, 2]"
+    assert (
+        median_and_range([math.nan, 5, 10]) == median_and_range([None, 5, 10]) == "10 [5, never]"
+    )
+    assert median_and_range([None, math.nan]) == "never"
+
+
+def test_steps_that_some_run_never_reached_are_medians_for_every_agent():
+    study = replace(NAMED, columns=("solved_step",))
+    steps = {"a": [100.0, 200.0, 600.0], "b": [100.0, None, 300.0]}
+    rows = [
+        {"task": "maze", "agent": agent, "seed": seed, "solved": "", "solved_step": step}
+        for agent, own in steps.items()
+        for seed, step in enumerate(own)
+    ]
+    lines = summarize(study, rows).splitlines()
+    assert lines[0] == "| task | agent | runs solved | solved step, median and range |"
+    assert [line.split(" | ")[-1] for line in lines[2:4]] == [
+        "200 [100, 600] |",
+        "300 [100, never] |",
+    ]
+
+
+def test_names_with_bars_and_line_breaks_leave_a_table_whole():
+    assert markdown_table(["a|b"], [["1\n2"]]) == "| a\\|b |\n| --- |\n| 1 2 |"
+
+
+def test_a_place_that_cannot_be_written_to_is_refused_before_anything_is_computed(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(OSError, match="`out` must name files in a folder that can be written to"):
+        check_outputs(tmp_path / "file" / "table", (".csv",), column="task", owner="a study")
 
 
 def test_a_table_keeps_every_column_and_six_digits(tmp_path):

@@ -2,14 +2,17 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
 from deep_curiosity.experiments.grid import summary_of
 from deep_curiosity.experiments.study import Study, Task
 from deep_curiosity.experiments.together import (
+    _latest,
     are_comparable,
     complete_agents,
+    have_joint_curve,
     plot_together,
     summarize_together,
 )
@@ -62,7 +65,7 @@ def test_an_agent_without_the_seeds_of_the_others_is_left_out_and_named():
 
 def test_agents_with_as_many_runs_of_other_seeds_are_not_paired():
     rows = [row for row in rows_of(seeds=3) if row["seed"] != (2 if row["agent"] == "bold" else 0)]
-    assert complete_agents(STUDY, rows) == ["bold"]
+    assert complete_agents(STUDY, rows) == []  # neither has all seeds that there are
 
 
 @pytest.mark.parametrize(
@@ -171,3 +174,30 @@ def test_a_run_without_a_return_is_counted_and_hides_no_column(kept, curves, tmp
     for row in rows:
         row["evaluation_return"] = value if row["task"] == "maze" else row["evaluation_return"]
     assert "| bold | 2 of 4 |  | 0.625" in summarize_together(STUDY, rows)[0]
+
+
+def test_agents_that_each_lack_a_run_are_both_left_out():
+    lost = [
+        row for row in rows_of() if (row["agent"], row["seed"]) not in {("bold", 0), ("shy", 1)}
+    ]
+    assert complete_agents(STUDY, lost) == []
+    assert summarize_together(STUDY, lost) == ["Without all runs, and left out: bold, shy.", ""]
+
+
+def test_a_task_that_is_shown_apart_needs_no_return_of_its_own():
+    apart = Task("other", SHORT, 1.0, is_shown_apart=True)
+    study = replace(STUDY, tasks=[*TASKS, apart])
+    others = [{"task": "other", "agent": "bold", "seed": 0, "evaluation_return": "?", "solved": 0}]
+    rows = [row | {"evaluation_return": np.float32(row["evaluation_return"])} for row in rows_of()]
+    assert have_joint_curve(study.joint, [*rows, *others])
+    assert "evaluation return, solved is 1" in summarize_together(study.joint, [*rows, *others])[0]
+
+
+def test_an_agent_with_steps_of_its_own_is_drawn_over_these():
+    study = replace(STUDY, agents={"bold": {}, "long": {"total_steps": 4_000}}, tasks=TASKS[:1])
+    curves = [
+        {"task": "maze", "agent": "long", "seed": 0, "step": step, "evaluation_return": step / 100}
+        for step in (1_000, 2_000, 3_000, 4_000)
+    ]
+    (latest,) = _latest(study, study.tasks[0], curves, "long")
+    assert latest[[0, 4, 5, 10, 15, 20]] == pytest.approx([0.0, 0.0, 1.0, 2.0, 3.0, 4.0])

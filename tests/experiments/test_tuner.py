@@ -384,3 +384,46 @@ def test_a_very_poor_trial_is_left_out_of_the_picture(search_in, calls, tmp_path
     study = search_in(tmp_path, trials=3)
     assert study.trials[0].value == tuner.VERY_POOR
     assert [math.isnan(score) for score in shown[-1]] == [True, False, False]
+
+
+@pytest.mark.parametrize(
+    ("changed", "message"),
+    [
+        ({"space": {"seed": FloatDistribution(0, 1)}}, "`space` must leave to the search .* seed"),
+        ({"seeds": 0}, "`seeds` must be at least 1, got 0"),
+        ({"first_seed": -5}, "`first_seed` must not be negative, got -5"),
+        ({"ranges": {"easy": (0.0, math.inf), "hard": (0.0, 1.0)}}, "`ranges` must give two"),
+        ({"space": {"features": CategoricalDistribution(((0,), ()))}}, "text, numbers, True"),
+    ],
+)
+def test_a_search_that_cannot_be_is_refused_before_any_trial(search, changed, message):
+    with pytest.raises((TypeError, ValueError), match=message):
+        replace(search, **changed)
+
+
+def test_tasks_of_a_search_have_folders_of_their_own(search):
+    with pytest.raises(ValueError, match="must give each run a folder of its own"):
+        replace(search, tasks=[search.tasks[0]] * 2)
+    with pytest.raises(ValueError, match="must have names that folders can have, got '/x'"):
+        replace(search, tasks=[replace(search.tasks[0], name="/x")], ranges={"/x": (0.0, 1.0)})
+
+
+def test_any_letters_may_be_in_the_path_of_the_runs(search, tmp_path):
+    names = {"q?z", "q%20z", "q z#1"}
+    for name in names:
+        tuner.open_study(search, tmp_path / name)
+        assert (tmp_path / name / "trials.db").stat().st_size
+    assert {path.name for path in tmp_path.iterdir()} == names
+
+
+def test_no_setting_weighs_where_all_scores_are_equal(search, tmp_path):
+    study = tuner.open_study(search, tmp_path / "runs")
+    for rate in (0.001, 0.01, 0.1):
+        study.add_trial(
+            optuna.create_trial(
+                params={"learning_rate": rate, "batch_size": 16},
+                distributions=dict(search.space),
+                value=1.0,
+            )
+        )
+    assert tuner.importances(study) == {}

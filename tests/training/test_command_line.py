@@ -325,3 +325,38 @@ def test_settings_are_read_from_a_file_and_flags_go_before_it(tmp_path):
         path.write_text(text)
         with pytest.raises(ValueError, match=message):
             read("--settings", path)
+
+
+@pytest.mark.parametrize(
+    ("values", "arguments", "name", "expected"),
+    [
+        ({"random_features": 64}, ("--bonus", "rnd"), "random_features", 64),
+        ({"learning_starts": 30_000}, ("--total-steps", 100_000), "learning_starts", 30_000),
+        ({"batch_size": 4}, ("--num-members", 2), "batch_size", 4),
+        ({"total_steps": 900}, ("--total-steps", 20_000), "total_steps", 20_000),  # the default
+        ({"hunger": "linear:0:1"}, (), "hunger", Schedule.parse("linear:0:1")),
+        ({"bonus": "rnd", "random_features": 64}, ("--bonus", "none"), "hidden_dim", 256),
+    ],
+)
+def test_a_file_is_checked_together_with_the_flags(tmp_path, values, arguments, name, expected):
+    path = written(tmp_path / "best.json", values)
+    assert flat(read("--settings", path, *arguments))[name].value == expected
+
+
+@pytest.mark.parametrize(
+    ("values", "error", "message"),
+    [
+        ({"rate": 1}, TypeError, "`rate` is no setting here"),
+        ({"batch_size": "big"}, TypeError, "`batch_size` must be int, got 'big'"),
+        ({"batch_size": 4}, ValueError, "`batch_size` must be"),
+        ({"bonus": "fame"}, ValueError, "`bonus` must be one of"),
+    ],
+)
+def test_a_file_that_cannot_be_is_refused_by_name(tmp_path, values, error, message):
+    with pytest.raises(error, match=message):
+        read("--settings", written(tmp_path / "best.json", values))
+
+
+def written(path, values):
+    path.write_text(json.dumps(values))
+    return path

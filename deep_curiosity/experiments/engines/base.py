@@ -1,9 +1,12 @@
 """What an engine is: it takes jobs, and gives a future for each, wherever they are computed."""
 
 import pickle
+import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from concurrent.futures import Future
+from pathlib import Path
+from types import ModuleType
 from typing import Any, NamedTuple
 
 import cloudpickle
@@ -28,22 +31,67 @@ class Outcome(NamedTuple):
     held: bool = False
 
 
+class OwnModule(NamedTuple):
+    """A file of the user's own, as it travels with jobs.
+
+    Args:
+        name: Of the module.
+        path: Where it lies, perhaps on another machine.
+        source: Its text.
+    """
+
+    name: str
+    path: str
+    source: str
+
+    def load(self) -> None:
+        """Make it the module of its name, so that what it registers is registered here too."""
+        if self.name in sys.modules:
+            return
+        folder = str(Path(self.path).parent)
+        if folder not in sys.path:
+            sys.path.insert(0, folder)  # for what it imports itself
+        module = ModuleType(self.name)
+        module.__file__ = self.path
+        sys.modules[self.name] = module
+        try:
+            exec(compile(self.source, self.path, "exec"), module.__dict__)
+        except BaseException:
+            del sys.modules[self.name]
+            raise
+
+
+_own_modules: dict[str, OwnModule] = {}
+
+
+def send_along(module: ModuleType) -> None:
+    """Let a module of the user's own travel with every job that is made from now on."""
+    assert module.__file__ is not None
+    path = Path(module.__file__).resolve()
+    _own_modules[module.__name__] = OwnModule(module.__name__, str(path), path.read_text())
+    cloudpickle.register_pickle_by_value(module)
+
+
 class Job(NamedTuple):
     """A function and its arguments, packed for any machine, and what it needs there.
 
     Args:
-        payload: The pickled function and arguments. Modules of the user's own travel inside.
+        payload: The pickled function and arguments.
         threads: Cores.
         device: `cpu`, or a kind of accelerator.
+        modules: Of the user's own, which are loaded before.
     """
 
     payload: bytes
     threads: int = 1
     device: str = "cpu"
+    modules: tuple[OwnModule, ...] = ()
 
     def run(self) -> Outcome:
         """Do it, whatever comes: only the death of the worker is left for an engine to tell."""
         try:
+            for module in self.modules:
+                module.load()
             function, arguments = pickle.loads(self.payload)
             return Outcome(function(*arguments))
         except (Exception, SystemExit) as error:  # also code of the user's that calls sys.exit
@@ -58,7 +106,8 @@ def make_job(
     function: Callable[..., Any], *arguments: Any, threads: int = 1, device: str = "cpu"
 ) -> Job:
     """Pack a function and its arguments."""
-    return Job(cloudpickle.dumps((function, arguments)), threads, device)
+    payload = cloudpickle.dumps((function, arguments))
+    return Job(payload, threads, device, (*_own_modules.values(),))
 
 
 class Engine(ABC):

@@ -5,6 +5,7 @@ import signal
 from collections.abc import Sequence
 from concurrent.futures import (
     BrokenExecutor,
+    CancelledError,
     Executor,
     Future,
     ProcessPoolExecutor,
@@ -13,9 +14,11 @@ from concurrent.futures import (
 from contextlib import suppress
 from multiprocessing import get_context
 from queue import SimpleQueue
+from threading import Lock
 
 from deep_curiosity.experiments.engines.base import Engine, Job, Outcome
 from deep_curiosity.experiments.workers import follow_parent
+from deep_curiosity.training.interruption import interrupt_thread, interruptible_thread
 
 
 class LocalEngine(Engine):
@@ -68,12 +71,15 @@ class _Worker:
         self._pool: ProcessPoolExecutor | None = None
         self._pid = 0
         self._busy = False
+        self._stopped = False
+        self._lock = Lock()
 
     def run(self, job: Job) -> Outcome:
         """Have a job done.
 
         Raises:
             BrokenExecutor: If the process dies.
+            CancelledError: If the worker was told to stop before.
         """
         try:
             pool, self._busy = self._started(), True
@@ -85,15 +91,19 @@ class _Worker:
             self._busy = False
 
     def _started(self) -> ProcessPoolExecutor:
-        if self._pool is None:
-            pool = ProcessPoolExecutor(1, get_context("spawn"), follow_parent)
-            self._pid = pool.submit(os.getpid).result()
-            self._pool = pool
-        return self._pool
+        with self._lock:
+            if self._stopped:
+                raise CancelledError
+            if self._pool is not None:
+                return self._pool
+            pool = self._pool = ProcessPoolExecutor(1, get_context("spawn"), follow_parent)
+        self._pid = pool.submit(os.getpid).result()  # takes seconds, in which it may be stopped
+        return pool
 
     def stop(self) -> None:
         """Tell the process to stop, which a run does after its present step, and wait for it."""
-        pool = self._pool
+        with self._lock:
+            self._stopped, pool = True, self._pool
         if pool is None:
             return
         if self._busy:
@@ -111,15 +121,44 @@ class ExecutorEngine(Engine):
 
     def __init__(self, executor: Executor) -> None:
         self._executor = executor
-        self._futures: list[Future[Outcome]] = []
+        self._handed: list[tuple[_Handed, Future[Outcome]]] = []
 
     def submit(self, jobs: Sequence[Job]) -> list[Future[Outcome]]:
-        """Hand them on."""
-        futures = [self._executor.submit(job.run) for job in jobs]
-        self._futures += futures
-        return futures
+        """Hand them on; those that a broken executor does not take are lost."""
+        return [self._submit(_Handed(job)) for job in jobs]
+
+    def _submit(self, handed: "_Handed") -> Future[Outcome]:
+        try:
+            future = self._executor.submit(handed)
+        except BrokenExecutor as error:
+            future = Future()
+            future.set_exception(error)
+        self._handed.append((handed, future))
+        return future
 
     def close(self) -> None:
-        """Take back what has not begun."""
-        for future in self._futures:
-            future.cancel()
+        """Take back what has not begun, and tell what runs in threads of this process to stop."""
+        for handed, future in self._handed:
+            if not future.cancel():
+                handed.stop()
+
+
+class _Handed:
+    """A job that is handed on, and knows the thread that does it, if that is of this process."""
+
+    def __init__(self, job: Job) -> None:
+        self._job = job
+        self._thread: int | None = None
+
+    def __call__(self) -> Outcome:
+        """Do it."""
+        with interruptible_thread() as self._thread:
+            try:
+                return self._job.run()
+            finally:
+                self._thread = None
+
+    def stop(self) -> None:
+        """Tell it to stop, which a run does after its present step."""
+        if (thread := self._thread) is not None:
+            interrupt_thread(thread)

@@ -7,8 +7,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import cloudpickle
-
+from deep_curiosity.experiments.engines.base import send_along
 from deep_curiosity.experiments.search import Search
 from deep_curiosity.experiments.study import Study
 from deep_curiosity.requirements import require
@@ -113,7 +112,7 @@ def _load_module(path: Path, name: str) -> ModuleType:
             f"`{name}` must be a file whose name no other module has, got {path}, which is "
             f"hidden by {module.__file__}."
         )
-    cloudpickle.register_pickle_by_value(module)
+    send_along(module)
     return module
 
 

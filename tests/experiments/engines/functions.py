@@ -7,6 +7,7 @@ import time
 from pathlib import Path
 
 from deep_curiosity.experiments.runs import RunStoppedError
+from deep_curiosity.training.interruption import catch_interruption
 
 
 def square(number: int) -> int:
@@ -53,3 +54,11 @@ def wait_until_told(folder: Path) -> str:
         time.sleep(0.05)
     (folder / "saved").touch()
     return "saved"
+
+
+def wait_until_interrupted() -> str:
+    """Wait for a request to stop, as a run does."""
+    with catch_interruption() as interruption:
+        while not interruption.requested:
+            time.sleep(0.05)
+    return "stopped"
