@@ -334,7 +334,7 @@ def test_settings_are_read_from_a_file_and_flags_go_before_it(tmp_path):
         ({"learning_starts": 30_000}, ("--total-steps", 100_000), "learning_starts", 30_000),
         ({"batch_size": 4}, ("--num-members", 2), "batch_size", 4),
         ({"total_steps": 900}, ("--total-steps", 20_000), "total_steps", 20_000),  # the default
-        ({"hunger": "linear:0:1"}, (), "hunger", Schedule.parse("linear:0:1")),
+        ({"hunger": "linear:0.1:0.9"}, (), "hunger", Schedule.parse("linear:0.1:0.9")),
         ({"bonus": "rnd", "random_features": 64}, ("--bonus", "none"), "hidden_dim", 256),
     ],
 )
