@@ -201,15 +201,19 @@ def _limit(config: EnvironmentConfig, spec: EnvSpec | None, task: gymnasium.Env)
 
 
 def _limit_within(task: gymnasium.Env) -> int | None:
-    """Steps after which a wrapper or dm_control cuts episodes off; others may say anything."""
+    """Steps after which a wrapper or dm_control cuts episodes off; others may say anything.
+
+    Of several limits, one around the other, the least is the one that does.
+    """
+    limits: list[float] = []
     while isinstance(task, gymnasium.Wrapper):
         if isinstance(task, TimeLimit):
-            return task._max_episode_steps
+            limits.append(task._max_episode_steps)
         task = task.env
-    if not type(task).__module__.startswith("shimmy."):
-        return None
-    limit = getattr(getattr(task, "_env", None), "_step_limit", math.inf)
-    return round(limit) if limit < math.inf else None
+    if type(task).__module__.startswith("shimmy."):
+        limits.append(getattr(getattr(task, "_env", None), "_step_limit", math.inf))
+    least = min(limits, default=math.inf)
+    return round(least) if least < math.inf else None
 
 
 class EnvironmentMaker:

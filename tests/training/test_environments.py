@@ -3,6 +3,7 @@ import signal
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 
 import cloudpickle
 import gymnasium
@@ -25,6 +26,7 @@ from deep_curiosity.training.environments import (
     make_vector_environment,
     num_cells,
     picture_features,
+    registered_id,
 )
 from deep_curiosity_envs import MujocoVectorEnv
 
@@ -494,8 +496,28 @@ def test_a_limit_beyond_that_of_the_task_would_do_nothing_and_is_refused(
     assert taken == [False] * 6 + [True]
 
 
+@pytest.mark.parametrize("limits", [(20, 500), (500, 20), (20,)])
+def test_of_several_limits_the_least_is_that_of_the_task(limits):
+    def limited():
+        task = Task()
+        for limit in limits:
+            task = gymnasium.wrappers.TimeLimit(task, limit)
+        return task
+
+    config = EnvironmentConfig(MADE_BY_FUNCTION)
+    with pytest.raises(ValueError, match=r"`max_episode_steps` must be at most 20, .* 300"):
+        make_environment(replace(config, max_episode_steps=300), make_env=limited)
+    environment = make_environment(config, make_env=limited)
+    (episode,) = evaluate(lambda x, info: torch.zeros(1, 3), environment, episodes=1, seed=0)
+    assert episode.length == 20
+
+
 def test_a_limit_beyond_that_within_a_task_of_dm_control_is_refused():
     env_id = "dm_control/pendulum-swingup-v0"
+    inner = partial(gymnasium.make, registered_id(env_id), max_episode_steps=2_000)
+    with pytest.raises(ValueError, match=r"`max_episode_steps` must be at most 1000, .* 1001"):
+        config = EnvironmentConfig(MADE_BY_FUNCTION, max_episode_steps=1001)
+        make_environment(config, make_env=inner)
     with pytest.raises(ValueError, match=r"`max_episode_steps` must be at most 1000, .* 1001"):
         make_environment(EnvironmentConfig(env_id, max_episode_steps=1001))
     assert make_environment(EnvironmentConfig(env_id, max_episode_steps=1000))
