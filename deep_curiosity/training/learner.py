@@ -9,6 +9,7 @@ from torch import Tensor
 
 from deep_curiosity.agent.sac import BonusFunction, CuriousSAC
 from deep_curiosity.bonuses.base import Bonus
+from deep_curiosity.gaussians import DiagonalMixture
 from deep_curiosity.replay import ReplayBuffer
 from deep_curiosity.schedules import Schedule
 from deep_curiosity.speed.compile import compiled
@@ -143,14 +144,30 @@ class Learner:
             return self._numpy_policies[int(greedy[0])].act(policy_input, noise)[None]
         batch = as_batch(observation).to(self.device)
         hunger = self._hunger.to(self.device)
+        if self.noise is None and not greedy.any():
+            return self.agent.act(batch, hunger=hunger).cpu().numpy()
+        policy_input = self.agent.policy_input(batch, hunger)
+        chosen = torch.from_numpy(greedy).to(self.device)
         if self.noise is None:
-            action = self.agent.act(batch, hunger=hunger)
-        else:
-            action = self._explore(self.agent.policy_input(batch, hunger), self.noise)
+            return self._sample(policy_input, chosen).cpu().numpy()
+        action = self._explore(policy_input, self.noise)
         if greedy.any():
-            chosen = torch.from_numpy(greedy).to(self.device).unsqueeze(-1)
-            action = torch.where(chosen, self.agent.act(batch, greedy=True), action)
+            greedy_action = self.agent.act(batch, greedy=True, hunger=hunger)
+            action = torch.where(chosen.unsqueeze(-1), greedy_action, action)
         return action.cpu().numpy()
+
+    @torch.no_grad()
+    def _sample(self, policy_input: Tensor, greedy: Tensor) -> Tensor:
+        """Actions of the greedy policy where that is to act, of the curious one elsewhere.
+
+        There is one draw for both, as in NumPy: the random stream is the same with either.
+        """
+        of_greedy, of_curious = (self.agent.policy(policy_input, number) for number in (0, -1))
+        fields = [
+            torch.where(greedy.view(-1, *[1] * (own.ndim - 1)), own, other)
+            for own, other in zip(of_greedy, of_curious, strict=True)
+        ]
+        return torch.tanh(DiagonalMixture(*fields).sample())
 
     @torch.no_grad()
     def _explore(self, policy_input: Tensor, noise: Noise) -> Tensor:
@@ -291,10 +308,16 @@ class Learner:
         self.hunger_controller.load_state_dict(state["hunger"])
         self.greedy_stretches.load_state_dict(state["greedy_stretches"])
         self._last_hunger = []
-        self.replay.load_state_dict(state["replay"])
+        self.replay.load_state_dict(state["replay"] | {"generator": self._own_generator(state)})
         torch.set_rng_state(state["random"]["cpu"])
         if "cuda" in state["random"] and self.device.type == "cuda":
             torch.cuda.set_rng_state(state["random"]["cuda"], self.device)
+
+    def _own_generator(self, state: dict[str, Any]) -> Tensor:
+        """State of the replay's generator; begun anew where the run comes from another device."""
+        own = torch.Generator(self.device).manual_seed(self.config.run.seed).get_state()
+        saved: Tensor = state["replay"]["generator"]
+        return saved if saved.shape == own.shape else own
 
     def _make_numpy_policies(self) -> tuple[NumpyPolicy, NumpyPolicy] | None:
         """Curious and greedy policy in NumPy, if one environment is stepped on the CPU."""

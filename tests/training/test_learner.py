@@ -4,7 +4,10 @@ import numpy as np
 import pytest
 import torch
 
+from deep_curiosity.training.checkpoint import load_checkpoint
+from deep_curiosity.training.collector import Step
 from deep_curiosity.training.learner import Learner
+from deep_curiosity.training.loop import train
 
 
 @pytest.mark.parametrize(
@@ -61,3 +64,54 @@ def test_later_steps_count_by_the_bonus_that_they_last_had(tiny, monkeypatch):
         last[first] = given[number][:8]
         torch.testing.assert_close(learner.replay.bonus[:40], last, equal_nan=True)
     assert given[0][8:].isnan().all() and not given[-1].isnan().all()
+
+
+def actions_of(config, steps=60):
+    """Actions at as many observations, which end an episode now and then."""
+    torch.manual_seed(1)
+    learner, generator = Learner(config, 3, 2), np.random.default_rng(0)
+    actions, was_greedy = [], []
+    for number in range(steps):
+        observation = generator.normal(size=(1, 3))
+        was_greedy.append(bool(learner.greedy_stretches.is_greedy[0]))
+        actions.append(learner.act(observation))
+        ended = np.array([number % 7 == 6])
+        learner.store(
+            Step(observation, actions[-1], np.zeros(1), observation, ended, np.zeros(1, bool))
+        )
+    return np.concatenate(actions), was_greedy
+
+
+def test_torch_and_numpy_act_alike_but_for_rounding_where_stretches_are_greedy(tiny):
+    config = tiny.override(greedy_share=0.5, curiosity_discount=0.8, adaptive_greedy_share=False)
+    by_numpy, was_greedy = actions_of(config)
+    by_torch, also_greedy = actions_of(config.override(numpy_policy=False))
+    assert 10 < sum(was_greedy) < 50 and was_greedy == also_greedy
+    np.testing.assert_allclose(by_torch, by_numpy, atol=1e-5)
+
+
+@pytest.mark.parametrize("components", [1, 3])
+def test_each_environment_is_acted_in_by_the_policy_whose_turn_it_is(tiny, components):
+    config = tiny.override(num_envs=4, policy_mixture_components=components)
+    learner = Learner(config, 3, 2)
+    layer = learner.agent.policy.network.layers[-1]
+    with torch.no_grad():
+        layer.weight.zero_()
+        for bias, loc in zip(layer.bias[:, 0], (2.0, -2.0), strict=True):
+            of_component = torch.tensor([loc, loc, -9.0, -9.0])
+            bias[: 4 * components] = of_component.repeat(components)
+    learner.greedy_stretches.is_greedy = np.array([True, False, False, True])
+    action = learner.act(np.zeros((4, 3)))
+    assert ((action > 0).all(-1) == learner.greedy_stretches.is_greedy).all()
+    assert ((action < 0).all(-1) != learner.greedy_stretches.is_greedy).all()
+
+
+def test_a_run_of_another_device_goes_on_with_a_generator_of_its_own(tiny):
+    """The state of one on a GPU is shorter, and nothing to one on the CPU."""
+    train(tiny, show_progress=False)
+    state = load_checkpoint(tiny.run.out)["learner"]
+    state["replay"]["generator"] = torch.zeros(16, dtype=torch.uint8)
+    learner = Learner(tiny, 3, 1)
+    learner.load_state_dict(state)
+    assert len(learner.replay) == 60
+    learner.update()
