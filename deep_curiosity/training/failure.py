@@ -7,8 +7,10 @@ require_training()
 
 import traceback
 import warnings
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 
+import gymnasium
 from gymnasium.vector import SyncVectorEnv, VectorEnv
 
 from deep_curiosity.training.config import Config
@@ -59,12 +61,25 @@ def note(error: BaseException, text: str) -> None:
         warnings.warn(text, stacklevel=2)
 
 
-def close_environments(environment: VectorEnv) -> None:
+@contextmanager
+def closed_at_the_end(environment: gymnasium.Env | VectorEnv) -> Iterator[None]:
+    """Close environments however it ends; where that is by an error, it is the one to come out."""
+    try:
+        yield
+    except BaseException:
+        with suppress(*RAISED):
+            _close(environment)
+        raise
+    _close(environment)
+
+
+def _close(environment: gymnasium.Env | VectorEnv) -> None:
     """Close environments, whose processes may have heard the signal that ended the run."""
     try:
         environment.close()
     except (ConnectionError, EOFError):  # a pipe that is broken is such a connection
-        close_at_once(environment)
+        if isinstance(environment, VectorEnv):
+            close_at_once(environment)
 
 
 def close_at_once(environment: VectorEnv) -> None:

@@ -37,6 +37,7 @@ from deep_curiosity.training.config import (
     ROUNDING_CHANGES,
     Config,
     EnvironmentConfig,
+    check_device,
     merge_config,
 )
 from deep_curiosity.training.divergence import DivergedError, broken_loss, broken_weight
@@ -54,7 +55,7 @@ from deep_curiosity.training.environments import (
 from deep_curiosity.training.failure import (
     RAISED,
     close_at_once,
-    close_environments,
+    closed_at_the_end,
     environment_failure,
     note,
 )
@@ -408,6 +409,7 @@ def open_run(
     own = read_config(config.run.out) if resume else None
     if own is not None:
         config = merge_config(config, own)
+    check_device(config.speed.device)
     with ExitStack() as stack:
         precision = stack.enter_context(fitted_machine(config.speed))
         speed = replace(config.speed, matmul_precision=precision)  # kept when resumed
@@ -462,12 +464,12 @@ def _make_parts(
 ) -> tuple[gymnasium.Env, Learner, Collector]:
     """Environment of evaluations, learner and collector; environments close with the stack."""
     evaluation_environment = make_environment(config.environment, **_own(make_env))
-    stack.callback(evaluation_environment.close)
+    stack.enter_context(closed_at_the_end(evaluation_environment))
     sizes = observation_dim(evaluation_environment), action_dim(evaluation_environment)
     hindsight = make_hindsight(config.run.hindsight, evaluation_environment)
     learner = Learner(config, *sizes, hunger, hindsight)
     collector = make_collector(config, make_env)
-    stack.callback(close_environments, collector.environment)
+    stack.enter_context(closed_at_the_end(collector.environment))
     return evaluation_environment, learner, collector
 
 

@@ -5,11 +5,15 @@ from deep_curiosity.requirements import require_training
 
 require_training()
 
+import inspect
+import warnings
 from typing import Any
 
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+
+from deep_curiosity.training.failure import RAISED
 
 SUCCESS_NAMES = ("is_success", "success")
 """Entries of an info by which tasks report success."""
@@ -44,7 +48,8 @@ class PlainSteps(gymnasium.Wrapper):
         """Begin an episode.
 
         Raises:
-            ValueError: If the task does not return observation and info.
+            ValueError: If the task does not take seed and options, or does not return observation
+                and info.
         """
         observation, info = _unpacked("reset", ("observation", "info"), self._reset(seed, options))
         return observation, _with_success(info)
@@ -53,10 +58,11 @@ class PlainSteps(gymnasium.Wrapper):
         """Step the task.
 
         Raises:
-            ValueError: If the task does not return observation, reward, two flags and info.
+            ValueError: If the task does not take an action, or does not return observation,
+                reward, two flags and info.
         """
         names = ("observation", "reward", "terminated", "truncated", "info")
-        observation, *values, info = _unpacked("step", names, self.env.step(action))
+        observation, *values, info = _unpacked("step", names, self._step(action))
         reward, terminated, truncated = map(_one_number, names[1:4], values)
         info = _with_success(info)
         if self.termination_is_success:
@@ -64,9 +70,32 @@ class PlainSteps(gymnasium.Wrapper):
         succeeded = self.terminate_on_success and info.get("is_success", False)
         return observation, reward, bool(terminated) or succeeded, bool(truncated), info
 
+    def close(self) -> None:
+        """Close the task; one that raises undoes nothing of what was done in it."""
+        try:
+            self.env.close()
+        except RAISED as error:
+            warnings.warn(
+                "`close` of the environment should raise no error, got "
+                f"{type(error).__name__}: {error}.",
+                stacklevel=2,
+            )
+
     def _reset(self, seed: int | None, options: dict[str, Any] | None) -> Any:
         """What the task returns, which may be anything."""
-        return self.env.reset(seed=seed, options=options)
+        try:
+            return self.env.reset(seed=seed, options=options)
+        except TypeError as error:
+            _check_taken(self.env, "reset", error, seed=seed, options=options)
+            raise
+
+    def _step(self, action: np.ndarray) -> Any:
+        """What the task returns, which may be anything."""
+        try:
+            return self.env.step(action)
+        except TypeError as error:
+            _check_taken(self.env, "step", error, action)
+            raise
 
 
 class VectorObservation(gymnasium.Wrapper):
@@ -152,6 +181,32 @@ def real_dtype(dtype: Any) -> type[np.floating]:
     """Type in which observations are kept: float32, or float64 where they come in it."""
     kind = np.dtype(dtype)
     return np.float64 if kind.kind == "f" and kind.itemsize >= 8 else np.float32
+
+
+def _check_taken(
+    task: gymnasium.Env, name: str, error: TypeError, *arguments: Any, **options: Any
+) -> None:
+    """Say so where a task, or a wrapper of it, does not take what a method is given.
+
+    Raises:
+        ValueError: If it does not.
+    """
+    layers = [task]
+    while isinstance(layers[-1], gymnasium.Wrapper):
+        layers.append(layers[-1].env)
+    for layer in layers:
+        try:
+            signature = inspect.signature(getattr(layer, name))
+        except ValueError:  # of what is compiled
+            continue
+        try:
+            signature.bind(*arguments, **options)
+        except TypeError:
+            taken = ", ".join(options) or "action"
+            raise ValueError(
+                f"`{name}` of the environment must take ({taken}), as gymnasium defines it, got "
+                f"{type(layer).__name__}.{name}{signature}."
+            ) from error
 
 
 def _unpacked(name: str, parts: tuple[str, ...], returned: Any) -> tuple[Any, ...]:

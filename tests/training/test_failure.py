@@ -3,7 +3,12 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from deep_curiosity.training.config import Config
-from deep_curiosity.training.failure import environment_failure, failed_index, note
+from deep_curiosity.training.failure import (
+    closed_at_the_end,
+    environment_failure,
+    failed_index,
+    note,
+)
 
 
 class Breaking(gymnasium.Wrapper):
@@ -44,3 +49,15 @@ def test_what_takes_no_note_is_told_by_a_warning():
     assert error.__notes__ == ["all is saved"]
     with pytest.warns(UserWarning, match="all is saved"):
         note(Noteless(), "all is saved")
+
+
+class Stuck(gymnasium.Env):
+    def close(self):
+        raise OSError("the socket is closed already")
+
+
+def test_of_an_error_and_another_in_closing_the_first_comes_out():
+    with pytest.raises(KeyError), closed_at_the_end(Stuck()):
+        raise KeyError
+    with pytest.raises(OSError, match="socket"), closed_at_the_end(Stuck()):
+        pass

@@ -408,6 +408,42 @@ def test_a_callback_that_exits_leaves_all_before_it(tiny):
     assert load_checkpoint(tiny.run.out)["run_log"]["step"] == 40
 
 
+class Stuck(gymnasium.Env):
+    """Cannot be closed."""
+
+    action_space = observation_space = gymnasium.spaces.Box(-1.0, 1.0, (1,))
+
+    def reset(self, *, seed=None, options=None):
+        return np.zeros(1), {}
+
+    def step(self, action):
+        return np.zeros(1), 0.0, False, False, {}
+
+    def close(self):
+        raise OSError("the socket is closed already")
+
+
+@pytest.mark.parametrize("num_envs", [1, 2])
+def test_a_task_that_cannot_be_closed_does_not_undo_the_run(tiny, num_envs):
+    config = tiny.override(env_id=EnvironmentConfig().env_id, env_kwargs={}, num_envs=num_envs)
+    with pytest.warns(
+        UserWarning, match="`close` of the environment should raise no error"
+    ) as told:
+        assert train(config, make_env=Stuck, show_progress=False)["total_steps"] == 60
+    assert len(told) == num_envs + 1  # every one is closed, and that of the evaluations
+
+    def failing(step, values):
+        raise KeyError("of the callback")
+
+    with pytest.raises(KeyError, match="of the callback"):  # and not the warnings, errors here
+        train(
+            config.override(out=tiny.run.out / "other"),
+            make_env=Stuck,
+            on_evaluation=failing,
+            show_progress=False,
+        )
+
+
 @pytest.mark.parametrize("change", [{"low": -5.0}, {"entries": 4}])
 def test_another_task_is_refused_and_the_run_kept(tiny, change):
     class Task(gymnasium.Env):

@@ -96,6 +96,62 @@ def test_a_reset_without_an_info_is_named():
         PlainSteps(Says(start=(np.zeros(1), []))).reset()
 
 
+class OldStyle(Says):
+    """As before gymnasium 0.26."""
+
+    def reset(self, seed=None):
+        return self.start
+
+
+class Bare(Says):
+    def reset(self):
+        return self.start
+
+
+@pytest.mark.parametrize(
+    ("task", "got"), [(OldStyle, r"OldStyle\.reset\(seed=None\)"), (Bare, r"Bare\.reset\(\)")]
+)
+@pytest.mark.parametrize("wrap", [lambda task: task, gymnasium.Wrapper], ids=["bare", "wrapped"])
+def test_a_reset_that_does_not_take_seed_and_options_is_named(task, got, wrap):
+    with pytest.raises(ValueError, match=rf"`reset` .* must take \(seed, options\).*got {got}"):
+        PlainSteps(wrap(task())).reset(seed=0)
+
+
+def test_a_step_that_does_not_take_one_action_is_named():
+    class Twice(Says):
+        def step(self, action, other):
+            return self.returned
+
+    with pytest.raises(
+        ValueError, match=r"`step` .* take \(action\).*Twice.step\(action, other\)"
+    ):
+        PlainSteps(Twice()).step(ACTION)
+
+
+def test_an_error_of_the_same_kind_within_a_task_stays_what_it_is():
+    class Fails(Says):
+        def reset(self, **options):
+            return len(3)
+
+        def step(self, action):
+            return len(3)
+
+    task = PlainSteps(Fails())
+    for call in (task.reset, lambda: task.step(ACTION)):
+        with pytest.raises(TypeError, match="has no len"):
+            call()
+
+
+@pytest.mark.parametrize("error", [RuntimeError, OSError, SystemExit])
+def test_a_task_that_cannot_be_closed_is_told_of(error):
+    class Stuck(Says):
+        def close(self):
+            raise error("the socket is closed already")
+
+    with pytest.warns(UserWarning, match=rf"`close` .* got {error.__name__}: the socket is"):
+        PlainSteps(Stuck()).close()
+
+
 @pytest.mark.parametrize("name", ["is_success", "success"])
 @pytest.mark.parametrize(
     ("value", "succeeded"),
