@@ -12,6 +12,7 @@ from gymnasium import spaces
 from sb3_contrib import TQC, CrossQ
 from stable_baselines3 import A2C, DDPG, PPO, SAC, TD3
 from stable_baselines3.common.buffers import NStepReplayBuffer
+from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.save_util import load_from_pkl, save_to_pkl
 from stable_baselines3.common.utils import set_random_seed
@@ -292,6 +293,15 @@ def test_without_the_callback_the_actions_of_the_batch_are_taken() -> None:
     assert bonus.observed and not bonus.fresh_actions
 
 
+def test_agents_that_share_a_callback_are_each_asked_for_their_own_actions() -> None:
+    callback = CuriosityCallback()
+    agents = [make_agent(TD3, seed=seed).learn(12, callback) for seed in (0, 1)]
+    observation = torch.ones(4, 2)
+    for agent in agents:
+        asked = agent.replay_buffer.attachment.actor(observation)
+        assert torch.equal(asked, agent.actor(observation))
+
+
 def test_the_policy_is_known_at_the_batch_only() -> None:
     class Curious(Time):
         def observe(
@@ -434,6 +444,19 @@ def test_a_saved_agent_is_made_again_with_its_buffer_class_and_options(tmp_path:
     loaded.learn(12, callback=CuriosityCallback())
 
 
+@pytest.mark.parametrize("make", [make_rollout_agent, make_agent], ids=["PPO", "SAC"])
+def test_a_saved_agent_holds_a_bonus_of_ones_own_as_it_was_trained(
+    make: Callable[..., Any], tmp_path: Path
+) -> None:
+    bonus = Time(learns=True)
+    options = {"bonus": bonus} if make is make_rollout_agent else {"options": {"bonus": bonus}}
+    agent = make(**options).learn(20, callback=CuriosityCallback())
+    agent.save(tmp_path / "agent")
+    loaded = type(agent).load(tmp_path / "agent", env=Clock())
+    buffer = getattr(loaded, "replay_buffer", None) or loaded.rollout_buffer
+    assert bonus.factor != 1 and torch.equal(buffer.bonus.factor, bonus.factor)
+
+
 def test_the_bonus_follows_the_device_of_the_buffer() -> None:
     attachment = filled(options=SMALL).replay_buffer.attachment
     attachment.to(torch.device("meta"))
@@ -516,6 +539,35 @@ def test_rollouts_go_on_where_the_last_one_stopped() -> None:
     last = agent.rollout_buffer.transition().next_observation[-1]
     agent.learn(20, callback=CuriosityCallback(), reset_num_timesteps=False)
     assert torch.equal(agent.rollout_buffer.transition().observation[0], last)
+
+
+class StopAt(BaseCallback):
+    """Stops learning after so many steps."""
+
+    def __init__(self, num_steps: int) -> None:
+        super().__init__()
+        self.num_steps = num_steps
+
+    def _on_step(self) -> bool:
+        return self.num_timesteps != self.num_steps
+
+
+@pytest.mark.parametrize("stop", [26, 27])  # within an episode, and at the end of one
+@pytest.mark.parametrize("normalized", [False, True])
+@pytest.mark.parametrize("kind", [PPO, SAC])
+def test_what_a_callback_stops_goes_on_in_single_steps(
+    kind: type, normalized: bool, stop: int
+) -> None:
+    bonus = Time()
+    env = VecNormalize(clocks(0.0)) if normalized else clocks(0.0)
+    agent = make_rollout_agent(env, bonus=bonus)
+    if kind is SAC:
+        agent = make_agent(env=env, options={"bonus": bonus})
+    agent.learn(40, callback=[StopAt(stop), CuriosityCallback()])
+    agent.learn(40, callback=CuriosityCallback(), reset_num_timesteps=False)
+    shown = Transition(*(torch.cat(field) for field in zip(*bonus.observed, strict=True)))
+    torch.testing.assert_close(shown.next_observation[:, 0], shown.observation[:, 0] + 1)
+    torch.testing.assert_close(shown.next_observation[:, 1], shown.observation[:, 1])
 
 
 def test_rollouts_clip_actions_and_scale_them() -> None:
@@ -722,6 +774,27 @@ def test_a_bonus_must_be_a_name_or_a_bonus() -> None:
 def test_the_callback_refuses_an_agent_without_a_curious_buffer() -> None:
     with pytest.raises(TypeError, match="needs a curious buffer"):
         make_agent(buffer=None, options={}).learn(1, callback=CuriosityCallback())
+
+
+class WithoutEnds(DummyVecEnv):
+    """Resets at the end of an episode and leaves nothing of it."""
+
+    def step_wait(self) -> Any:
+        *step, infos = super().step_wait()
+        for info in infos:
+            info.pop("terminal_observation", None)
+        return *step, infos
+
+
+@pytest.mark.parametrize("normalized", [False, True])
+@pytest.mark.parametrize("make", [make_rollout_agent, make_agent], ids=["PPO", "SAC"])
+def test_an_episode_without_its_last_observation_is_refused(
+    make: Callable[..., Any], normalized: bool
+) -> None:
+    env: Any = WithoutEnds([Clock])
+    agent = make(env=VecNormalize(env) if normalized else env)
+    with pytest.raises(ValueError, match=r"`terminal_observation` .*got \['TimeLimit.truncated'"):
+        agent.learn(20, callback=CuriosityCallback())
 
 
 # as the check handles it

@@ -1,10 +1,12 @@
 """The callback that connects a curious buffer with its agent and with the logger."""
 
 from copy import deepcopy
+from functools import partial
 from typing import Any
 
 import numpy as np
 import torch
+from stable_baselines3.common.base_class import BaseAlgorithm
 from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.type_aliases import PyTorchObs
 from torch import Tensor
@@ -58,7 +60,7 @@ class CuriosityCallback(BaseCallback):
             self._observation = deepcopy(self._raw(self.model._last_obs))
         else:
             self._check_discount(buffer)
-            buffer.attachment.actor = self._act
+            buffer.attachment.actor = partial(_act, self.model)
 
     def _on_step(self) -> bool:
         buffer = self._buffer
@@ -72,6 +74,16 @@ class CuriosityCallback(BaseCallback):
             self._next_record = self.num_timesteps + self.log_interval
             for name, value in attachment.metrics().items():
                 self.logger.record(f"curiosity/{name}", value)
+
+    def _on_training_end(self) -> None:
+        """Let the agent go on from where the environment stands.
+
+        Where a callback stops a rollout, the library does not tell the agent of the last step.
+        """
+        if "new_obs" in self.locals:
+            self.model._last_obs = self.locals["new_obs"]
+            self.model._last_episode_starts = self.locals["dones"]
+            self.model._last_original_obs = self._raw(self.model._last_obs)
 
     @property
     def _buffer(self) -> CuriousReplayBuffer | CuriousRolloutBuffer:
@@ -92,14 +104,6 @@ class CuriosityCallback(BaseCallback):
                 f"`gamma` of the replay buffer must be that of the agent, {discount}, "
                 f"got {buffer.gamma}."
             )
-
-    @torch.no_grad()
-    def _act(self, observation: PyTorchObs) -> Tensor:
-        """What the agent would do now, as it is stored: within [-1, 1]."""
-        actor = self.model.actor  # type: ignore[attr-defined]
-        with evaluating(actor):
-            action: Tensor = actor(observation)
-        return action
 
     def _record_step(self, buffer: CuriousRolloutBuffer) -> None:
         next_observation = self._raw(self.locals["new_obs"])
@@ -122,3 +126,12 @@ class CuriosityCallback(BaseCallback):
         normalize = self.model.get_vec_normalize_env()
         reward: np.ndarray = self.locals["rewards"]
         return reward if normalize is None else normalize.get_original_reward()
+
+
+@torch.no_grad()
+def _act(model: BaseAlgorithm, observation: PyTorchObs) -> Tensor:
+    """What the agent would do now, as it is stored: within [-1, 1]."""
+    actor = model.actor  # type: ignore[attr-defined]
+    with evaluating(actor):
+        action: Tensor = actor(observation)
+    return action

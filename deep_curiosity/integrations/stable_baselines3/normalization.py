@@ -19,8 +19,22 @@ def keep_raw_ends(env: VecEnv) -> None:
 
 
 def end_of(info: dict[str, Any]) -> Any:
-    """The last observation of an episode, raw where that is known."""
-    return info.get(RAW_END, info["terminal_observation"])
+    """The last observation of an episode, raw where that is known.
+
+    Args:
+        info: Of the step that ended it.
+
+    Raises:
+        ValueError: If the environment has not left it there.
+    """
+    end = info.get(RAW_END, info.get("terminal_observation"))
+    if end is None:
+        raise ValueError(
+            "`info` must hold `terminal_observation` where an episode ended, as the vector "
+            "environments of the library give it, or the start of the next episode would be "
+            f"learned as the end of this one, got {sorted(info)}."
+        )
+    return end
 
 
 def check_order(env: VecEnv, key: str | None) -> None:

@@ -8,6 +8,7 @@ import numpy as np
 from stable_baselines3.common.vec_env import VecEnv
 
 from deep_curiosity.integrations.stable_baselines3.attachment import BonusAttachment
+from deep_curiosity.integrations.stable_baselines3.normalization import end_of
 from deep_curiosity.integrations.stable_baselines3.spaces import batch_of, mask_of, scaled
 from deep_curiosity.transitions import Transition
 
@@ -55,8 +56,8 @@ def _ground_truth(
     """A step of all environments, copied before any wrapper can change it."""
     final = np.array(attachment.select_observation(next_observation))
     for index in np.flatnonzero(done):
-        final[index] = attachment.select_observation(infos[index]["terminal_observation"])
-    timeout = np.array([info["TimeLimit.truncated"] for info in infos])
+        final[index] = attachment.select_observation(end_of(infos[index]))
+    timeout = np.array([info.get("TimeLimit.truncated", False) for info in infos])
     return Transition(
         observation=batch_of(attachment.select_observation(observation)),
         action=batch_of(scaled(action, attachment.action_space)),

@@ -13,7 +13,11 @@ from torch import Tensor
 
 from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.integrations.stable_baselines3.attachment import BonusAttachment, check_known
-from deep_curiosity.integrations.stable_baselines3.normalization import RAW_END, is_clipped
+from deep_curiosity.integrations.stable_baselines3.normalization import (
+    RAW_END,
+    end_of,
+    is_clipped,
+)
 from deep_curiosity.integrations.stable_baselines3.spaces import batch_of, mask_of
 from deep_curiosity.transitions import Transition
 
@@ -114,15 +118,16 @@ class CuriousReplayBuffer(ReplayBuffer):
         """Store a step of all environments; the agent calls this.
 
         Raises:
-            ValueError: If a wrapper above `VecNormalize` changes observations.
+            ValueError: If a wrapper above `VecNormalize` changes observations, or an episode ended
+                and its last observation is not in `infos`.
         """
         self._check_shape(obs)
         for index in map(int, np.flatnonzero(done)):
-            info = infos[index]
-            if RAW_END in info:
-                _write(next_obs, index, info[RAW_END])
-            elif "terminal_observation" in info:
-                self._normalized_ends.append(info["terminal_observation"])
+            end = end_of(infos[index])
+            if RAW_END in infos[index]:
+                _write(next_obs, index, end)
+            else:
+                self._normalized_ends.append(end)
         super().add(obs, next_obs, action, reward, done, list(infos))
 
     def _check_shape(self, observation: Any) -> None:
