@@ -105,6 +105,7 @@ def continue_run(
     on_evaluation: Callback | None = None,
     on_log: Callback | None = None,
     show_progress: bool = True,
+    **settings: Any,
 ) -> TrainedRun:
     """Continue the run in a folder, in place.
 
@@ -118,12 +119,16 @@ def continue_run(
         on_evaluation: As in `train`.
         on_log: As in `train`.
         show_progress: As in `train`.
+        **settings: What else is to change, as in `deep_curiosity.training.continue_run`, such as
+            `device`.
 
     Returns:
         The run, as `train` gives it.
 
     Raises:
         FileNotFoundError: If the folder holds no run.
+        TypeError: If there is no such setting, or a value has the wrong type.
+        ValueError: If the run cannot go on with a setting, naming it and both values.
     """
     from deep_curiosity.training.loop import continue_run as continue_agent
 
@@ -136,5 +141,6 @@ def continue_run(
         on_evaluation=on_evaluation,
         on_log=on_log,
         show_progress=show_progress,
+        **settings,
     )
     return TrainedRun(Path(folder).expanduser().absolute(), summary)

@@ -24,6 +24,7 @@ from deep_curiosity.configuration import (
     unknown_setting,
 )
 from deep_curiosity.speed.config import SpeedConfig
+from deep_curiosity.speed.machine import WORTH_COMPILING
 
 PRESETS: dict[str, dict[str, Any]] = {
     "fast": {
@@ -173,7 +174,7 @@ class Config(Group):
                 f"`curiosity_discount` must be above 0 for the bonus {self.bonus.kind}, which has "
                 "no gradient in the action, got 0."
             )
-        _check_device(self.speed.device)
+        _read_device(self.speed.device)
         _refuse_idle_settings(self)
 
     @classmethod
@@ -191,7 +192,18 @@ class Config(Group):
         return cls().override(preset_name, **values)
 
     def override(self, preset_name: str | None = None, /, **values: Any) -> "Config":
-        """The same configuration with some settings changed, as in `of`."""
+        """The same configuration with some settings changed, as in `of`.
+
+        What it has already is not looked at anew: a run goes on as it was begun, and is read where
+        its device is not there.
+        """
+        changed = self._changed(preset_name, values)
+        if changed.speed.device != self.speed.device:
+            check_device(changed.speed.device)
+        _refuse_new_idle_switches(changed, self)
+        return changed
+
+    def _changed(self, preset_name: str | None, values: dict[str, Any]) -> "Config":
         kind = values.pop("bonus", self.bonus)
         bonus = self.bonus if kind == self.bonus else _switched(self.bonus, kind)
         groups: dict[str, Group] = vars(self) | {"bonus": bonus}
@@ -224,7 +236,7 @@ class Config(Group):
         try:
             if not isinstance(values, Mapping):
                 raise TypeError(f"`settings` must be a mapping by name, got {values!r}.")
-            config = cls.of(**values)
+            config = cls()._changed(None, dict(values))
             for name, default in config.to_json().items():
                 if name not in values:
                     raise ValueError(f"`{name}` must be there, such as {default!r}, got nothing.")
@@ -310,13 +322,23 @@ def _check_batch(config: Config) -> None:
         )
 
 
-def _check_device(name: str) -> None:
+def _read_device(name: str) -> torch.device:
     try:
         device = torch.device(name)
     except RuntimeError:  # whose message lists every device that torch was ever built for
         device = None
     if device is None or device.type not in ("cpu", "cuda") or name.startswith("cpu:"):
         raise ValueError(f"`device` must be cpu or cuda, got {name!r}.")
+    return device
+
+
+def check_device(name: str) -> None:
+    """Refuse a device that is not there.
+
+    Raises:
+        ValueError: If torch cannot use it on this machine.
+    """
+    device = _read_device(name)
     there = torch.cuda.device_count() if torch.cuda.is_available() else 0
     if device.type == "cuda" and (device.index or 0) >= there:
         raise ValueError(f"`device` must be one that torch can use here, got {name!r}.")
@@ -415,6 +437,33 @@ def _refuse_idle_switches(config: Config) -> None:
             "`numpy_policy` must be left out unless a single environment is stepped on the cpu, "
             f"got False for {config.environment.num_envs} on {speed.device}."
         )
+
+
+def _refuse_new_idle_switches(config: Config, before: Config) -> None:
+    """Refuse a switch that is off and would do nothing, unless it was so before.
+
+    Raises:
+        ValueError: Naming the switch, where it acts, and its value.
+    """
+    already = _idle_switches(before)
+    for name, where in _idle_switches(config).items():
+        if name not in already:
+            raise ValueError(f"`{name}` must be left out {where}, got False.")
+
+
+def _idle_switches(config: Config) -> dict[str, str]:
+    """Switches that are off and do nothing, with where that is so."""
+    speed, idle = config.speed, {}
+    num_updates = (config.run.total_steps - config.run.learning_starts) * config.run.update_to_data
+    if speed.compile == "auto" and num_updates < WORTH_COMPILING:
+        where = f"where `compile` is auto and updates are fewer than {WORTH_COMPILING}"
+        idle = {name: where for name in ("direct_matmul", "deduplicate")}
+    if config.run.exploration != "policy":
+        idle["numpy_policy"] = f"with `exploration` {config.run.exploration}, where torch acts"
+    elif config.agent.mixture_components > 1:
+        number = config.agent.mixture_components
+        idle["numpy_policy"] = f"with {number} `policy_mixture_components`, where torch acts"
+    return {name: where for name, where in idle.items() if not getattr(speed, name)}
 
 
 def config_key(values: Mapping[str, Any]) -> dict[str, str]:

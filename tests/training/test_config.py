@@ -8,7 +8,14 @@ from deep_curiosity.agent.config import ConditionedHunger
 from deep_curiosity.bonuses.config import BONUS_CONFIGS, RNDConfig
 from deep_curiosity.configuration import flat
 from deep_curiosity.schedules import Schedule
-from deep_curiosity.training.config import IGNORED, PRESETS, Config, config_key
+from deep_curiosity.training.config import (
+    IGNORED,
+    PRESETS,
+    Config,
+    check_device,
+    config_key,
+    merge_config,
+)
 
 OUTCOME_BONUSES = [name for name, kind in BONUS_CONFIGS.items() if kind.scores_outcomes]
 VALUES = [
@@ -207,6 +214,33 @@ def test_what_cannot_be_or_would_do_nothing_is_refused_by_name(values, message):
         Config.of(**values)
 
 
+IDLE_SWITCHES = {
+    "deduplicate": ({"total_steps": 1_000}, "where `compile` is auto and updates are fewer than"),
+    "direct_matmul": ({"update_to_data": 0.1}, "where `compile` is auto and updates are fewer"),
+    "numpy_policy": ({"exploration": "ou"}, "with `exploration` ou, where torch acts"),
+}
+
+
+@pytest.mark.parametrize("name", IDLE_SWITCHES)
+def test_a_switch_that_is_off_in_a_run_where_it_would_do_nothing_is_refused(name):
+    values, message = IDLE_SWITCHES[name]
+    for config in (Config(), Config.of(**values)):
+        with pytest.raises(ValueError, match=f"`{name}` must be left out {message}.* got False"):
+            config.override(**values, **{name: False})
+    assert not getattr(Config.of(**{name: False}).speed, name)
+    with pytest.raises(ValueError, match=r"with 2 `policy_mixture_components`, .* got False"):
+        Config.of(policy_mixture_components=2, numpy_policy=False)
+
+
+@pytest.mark.parametrize("name", IDLE_SWITCHES)
+def test_a_run_that_was_begun_with_such_a_switch_goes_on(name):
+    values, _ = IDLE_SWITCHES[name]
+    own = Config.from_json(Config.of(**values).to_json() | {name: False})
+    assert not getattr(own.speed, name)
+    assert merge_config(own.override(total_steps=1_100, log_interval=7), own).run.log_interval == 7
+    assert getattr(own.override(**{name: True}).speed, name)
+
+
 @pytest.mark.parametrize(
     ("values", "message"),
     [
@@ -235,6 +269,17 @@ def test_a_device_that_is_not_there_is_refused(monkeypatch):
     with pytest.raises(ValueError, match=r"one that torch can use here, got 'cuda:2'"):
         Config.of(device="cuda:2")
     assert Config.of(device="cuda:1").speed.device == "cuda:1"
+
+
+def test_a_run_of_a_device_that_is_not_here_is_read_and_goes_on_with_another(monkeypatch):
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: False)
+    own = Config.from_json(Config().to_json() | {"device": "cuda"})
+    assert own.speed.device == own.override(seed=1).speed.device == "cuda"
+    assert merge_config(own.override(device="cpu"), own).speed.device == "cpu"
+    with pytest.raises(ValueError, match=r"`device` must be one that torch can use here, .*cuda'"):
+        check_device(own.speed.device)
+    with pytest.raises(ValueError, match="`device` must be cpu or cuda, got 'tpu'"):
+        Config.from_json(Config().to_json() | {"device": "tpu"})
 
 
 def test_an_unknown_preset_is_answered_with_those_there_are():
