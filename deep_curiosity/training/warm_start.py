@@ -20,12 +20,15 @@ LEARNED = (
     "curiosity_mean",
 )
 """What of an agent is learned; the rest are settings, optimisers, and what settings start."""
+BY_SETTINGS = ("value", "tuned_weight.log_factor")
+"""What of a bonus starts as `bonus_weight` says: a constant, and how far a weight was tuned."""
 
 
 def begin_from(config: Config, learner: Learner, collector: Collector) -> None:
     """Give a learner the weights, models and statistics of the run in `init_from`, if one is set.
 
-    Optimisers, temperature and hunger start as the settings of this run say.
+    Optimisers, temperature, hunger and the weight of the bonus start as the settings of this run
+    say.
 
     Args:
         config: Settings of the run that begins.
@@ -51,8 +54,10 @@ def begin_from(config: Config, learner: Learner, collector: Collector) -> None:
     _check_sizes(_learned(learner.agent.state_dict()), _learned(state["agent"]), config, there)
     learner.agent.load_state_dict(learner.agent.state_dict() | _learned(state["agent"]))
     if learner.bonus is not None:
-        _check_sizes(learner.bonus.state_dict(), state["bonus"], config, there)
-        learner.bonus.load_state_dict(state["bonus"])
+        own = learner.bonus.state_dict()
+        _check_sizes(own, state["bonus"], config, there)
+        as_set = {name: own[name] for name in BY_SETTINGS if name in own}
+        learner.bonus.load_state_dict(state["bonus"] | as_set)
     usual = checkpoint["collector"].get("usual_observation")
     if usual is not None:  # a checkpoint that is older has none
         collector.begin_from(usual.numpy())

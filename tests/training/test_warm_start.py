@@ -60,6 +60,26 @@ def test_what_observations_were_normalised_by_is_begun_with(tiny, tmp_path):
         pass
 
 
+@pytest.mark.parametrize(
+    ("settings", "name", "learned", "expected"),
+    [
+        ({"bonus": "constant"}, "value", 0.1, 2.0),
+        ({"tune_bonus_weight": "past"}, "tuned_weight.log_factor", 1.5, 0.0),
+        ({"bonus": "information-gain"}, "tuned_weight.log_factor", 1.5, 0.0),
+    ],
+)
+def test_the_weight_of_the_bonus_is_as_it_is_set(
+    tiny, tmp_path, settings, name, learned, expected
+):
+    before = tiny.override(out=tmp_path / "before", **settings)
+    with open_run(before) as run:
+        run.learner.bonus.get_buffer(name).fill_(learned)
+        run.save()
+    own = tiny.override(init_from=before.run.out, bonus_weight=2.0, **settings)
+    with open_run(own) as run:
+        assert run.learner.bonus.get_buffer(name).item() == expected
+
+
 def test_without_it_a_run_begins_anew(tiny, begun):
     saved = load_checkpoint(begun)["learner"]["agent"]
     with open_run(tiny) as run:
