@@ -146,9 +146,11 @@ def check_inputs(dtype: torch.dtype, **inputs: tuple[Any, int]) -> None:
     Raises:
         TypeError: If one is no tensor or has another dtype.
         ValueError: If one has the wrong shape or another number of rows than the first, or holds
-            NaN, infinity or numbers beyond 1e14. Values are not looked at inside a compiled graph.
+            NaN, infinity or numbers beyond 1e14. Values are not looked at inside a compiled graph
+            or a transform of `torch.func`, where they may stand for many.
     """
     total, first = 0.0, None
+    has_values = not (torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active())
     for name, (value, dim) in inputs.items():
         fits = isinstance(value, Tensor) and value.dtype == dtype
         if not fits or value.ndim != 2 or value.shape[1] != dim:
@@ -159,9 +161,9 @@ def check_inputs(dtype: torch.dtype, **inputs: tuple[Any, int]) -> None:
                 f"`{name}` must have as many rows as `{next(iter(inputs))}`, {len(first)}, "
                 f"got {len(value)}."
             )
-        if not torch.compiler.is_compiling():
+        if has_values:
             total = total + torch.linalg.vector_norm(value.detach())
-    if not torch.compiler.is_compiling() and not total <= LARGEST:  # one wait for a device
+    if has_values and not total <= LARGEST:  # one wait for a device
         check_moderate(**{name: value for name, (value, _) in inputs.items()})
 
 

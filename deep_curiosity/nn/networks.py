@@ -157,10 +157,15 @@ def log_softmax_of_rest(
 def frozen(module: nn.Module) -> Iterator[None]:
     """Let gradients pass through a module without reaching its parameters.
 
-    A compiled graph computes only the gradients that are used, and needs no freezing.
+    A compiled graph computes only the gradients that are used, and needs no freezing. Within a
+    transform of `torch.func`, where no flag may be changed, others take the parameters' places.
     """
     if torch.compiler.is_compiling():
         yield
+        return
+    if torch._C._are_functorch_transforms_active():
+        with _detached(module):
+            yield
         return
     parameters = []
     for parameter in module.parameters():
@@ -172,6 +177,21 @@ def frozen(module: nn.Module) -> Iterator[None]:
     finally:
         for parameter in parameters:
             parameter.requires_grad_(True)
+
+
+@contextmanager
+def _detached(module: nn.Module) -> Iterator[None]:
+    """Put tensors without a gradient in the places of a module's parameters for a while."""
+    places = [part._parameters for part in module.modules()]
+    before = [dict(place) for place in places]
+    try:
+        for place in places:
+            detached = {name: each.detach() for name, each in place.items() if each is not None}
+            place.update(detached)  # type: ignore[arg-type]  # where only parameters are set
+        yield
+    finally:
+        for place, own in zip(places, before, strict=True):
+            place.update(own)
 
 
 @contextmanager
