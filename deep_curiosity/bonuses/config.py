@@ -59,6 +59,10 @@ class BonusConfig(Group, ABC):
         """The same bonus about some entries of the observation, if it can be and is not yet."""
         return self
 
+    def about_newest(self, observation_dim: int) -> BonusConfig:
+        """The same bonus with entries of an observation found in a window that ends with it."""
+        return self
+
 
 @dataclass(frozen=True)
 class NoBonus(BonusConfig):
@@ -265,8 +269,11 @@ class CuriosityConfig(WeightedConfig):
     """Weights of what curiosity is made of, instead of D as a whole: predictive_power,
     information_gain, negative_entropy, cross_entropy; such as: information_gain 1"""
     features: tuple[int, ...] = setting((), at_least=-(10**6), at_most=10**6)
-    """Entries of the observation that curiosity is about, from the end where negative; all by
-    default, or with a frame stack the two newest observations."""
+    """Entries of the observation that curiosity is about, from the end where negative, such as 0 1
+    for a position; all by default, or with a frame stack the two newest observations."""
+    features_of: Literal["newest", "window"] = "newest"
+    """With a frame stack, what `features` are entries of: the newest observation; or the window of
+    all that are shown together, the oldest first, with the actions between them."""
     dynamics: DynamicsConfig = field(default_factory=DynamicsConfig)
     marginal: MarginalConfig = field(default_factory=MarginalConfig)
 
@@ -325,6 +332,17 @@ class CuriosityConfig(WeightedConfig):
     def about(self, entries: tuple[int, ...]) -> CuriosityConfig:
         """Curiosity about some entries of the observation, unless others were chosen."""
         return self if self.features else replace(self, features=entries)
+
+    def about_newest(self, observation_dim: int) -> CuriosityConfig:
+        """The same entries from the end of a window that ends with the observation.
+
+        Raises:
+            ValueError: If one is no entry of the observation, or named twice.
+        """
+        if self.features_of == "window" or not self.features:
+            return self
+        entries = check_entries(self.features, observation_dim)
+        return replace(self, features=tuple(entry - observation_dim for entry in entries))
 
     def sample_visited(self, replay: ReplayBuffer, batch_size: int) -> Transition | None:
         """Transitions of late, as the marginal forgets; the batch itself where it does not."""

@@ -369,9 +369,22 @@ def _refuse_idle_settings(config: Config) -> None:
             "`vectorization` must be left out for a single environment, "
             f"got {config.environment.vectorization!r}."
         )
+    _refuse_idle_window(config)
     _refuse_idle_switches(config)
     if config.run.hindsight is not None:
         _refuse_beside_hindsight(config)
+
+
+def _refuse_idle_window(config: Config) -> None:
+    """Refuse to count entries in a window where none is chosen, or there is no window."""
+    bonus, frame_stack = config.bonus, config.environment.frame_stack
+    if not isinstance(bonus, CuriosityConfig) or bonus.features_of == "newest":
+        return
+    if frame_stack == 1 or not bonus.features:
+        raise ValueError(
+            "`features_of` must be left out without `features` and a `frame_stack` above 1, got "
+            f"{bonus.features_of!r} with {list(bonus.features)} and {frame_stack}."
+        )
 
 
 def _refuse_beside_hindsight(config: Config) -> None:
@@ -512,6 +525,17 @@ YOUNGER: dict[str, Any] = {
     "adaptive_greedy_share": False,
 }
 """Settings that came after the first runs, with the value by which these were as they are."""
+
+
+def with_younger(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Settings as they are written, and those that came later with the values of before."""
+    younger = dict(YOUNGER)
+    if values.get("bonus") == CuriosityConfig.kind:
+        of_window = values.get("features") and values.get("frame_stack") != 1
+        younger["features_of"] = "window" if of_window else "newest"
+    return younger | dict(values)
+
+
 LEARNING_STAYS = (
     "log_interval",
     "evaluation_interval",

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from deep_curiosity.training.checkpoint import NEWEST, PREVIOUS
-from deep_curiosity.training.config import YOUNGER, Config
+from deep_curiosity.training.config import Config, with_younger
 from deep_curiosity.training.spaces import SPACES
 
 CONFIG = "config.json"
@@ -106,7 +106,7 @@ def read_values(folder: Path, name: str = "folder") -> dict[str, Any]:
             raise ValueError(f"not by name: {values!r}")
     except (RecursionError, ValueError) as error:  # no text, no JSON
         raise ValueError(f"`{CONFIG}` must hold settings in JSON, got {path}: {error}.") from error
-    return YOUNGER | values
+    return with_younger(values)
 
 
 def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

@@ -20,16 +20,18 @@ def make_run_bonus(
 
     With a frame stack, curiosity is by default about the two newest observations. Two, since a
     speed is in their difference; what is older, and the actions, tell little of where an action
-    leads. With goals in hindsight it is by default about all but the goal that is desired.
+    leads. Entries that are chosen are those of the newest one, unless they are of the window. With
+    goals in hindsight it is by default about all but the goal that is desired.
 
     Raises:
-        ValueError: If the spaces of the task are missing, of a run with goals in hindsight.
+        ValueError: If the spaces of the task are missing, of a run with goals in hindsight, or an
+            entry is none.
     """
     bonus, stack = config.bonus, config.environment.frame_stack
     if stack > 1:
         size = (observation_dim - (stack - 1) * action_dim) // stack
         before = size + action_dim
-        bonus = bonus.about((*range(-before - size, -before), *range(-size, 0)))
+        bonus = bonus.about_newest(size).about((*range(-before - size, -before), *range(-size, 0)))
     if config.run.hindsight is not None:
         bonus = _about_no_goal(bonus, observation_dim, spaces)
     hidden_dims = (config.agent.hidden_dim, config.agent.hidden_dim)

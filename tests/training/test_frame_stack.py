@@ -148,16 +148,30 @@ def test_the_check_has_the_same_window(tiny):
 
 
 @pytest.mark.parametrize(
-    ("frame_stack", "features", "entries"),
-    [(1, (), None), (3, (), [4, 5, 6, 8, 9, 10]), (3, (0, -1), [0, 10])],
+    ("frame_stack", "settings", "entries"),
+    [
+        (1, {}, None),
+        (1, {"features": (0, -1)}, [0, 2]),
+        (3, {}, [4, 5, 6, 8, 9, 10]),
+        (3, {"features": (0, 1)}, [8, 9]),
+        (3, {"features": (0, -1)}, [8, 10]),
+        (3, {"features": (0, -1), "features_of": "window"}, [0, 10]),
+    ],
 )
-def test_curiosity_is_about_the_two_newest_observations_of_a_window(
-    tiny, frame_stack, features, entries
+def test_curiosity_is_about_the_newest_observations_of_a_window(
+    tiny, frame_stack, settings, entries
 ):
     """Of three entries, with one action between two observations."""
-    config = tiny.override(frame_stack=frame_stack, features=features)
+    config = tiny.override(frame_stack=frame_stack, **settings)
     bonus = make_run_bonus(config, 3 * frame_stack + frame_stack - 1, 1)
     assert bonus.entries == entries
+
+
+def test_what_is_no_entry_of_an_observation_is_none_of_its_window(tiny):
+    for features in ((3,), (-4,), (0, -3)):
+        config = tiny.override(frame_stack=3, features=features)
+        with pytest.raises(ValueError, match="`features` must name different entries of 3, got"):
+            make_run_bonus(config, 11, 1)
 
 
 @pytest.mark.parametrize("dtype", [np.int8, np.uint8, np.int64])

@@ -92,6 +92,23 @@ def test_a_run_from_before_a_setting_goes_on_without_it(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        ({"frame_stack": 3, "features": (0, 1)}, "window"),
+        ({"frame_stack": 3}, "newest"),
+        ({"features": (0, 1)}, "newest"),
+    ],
+)
+def test_entries_of_a_run_from_before_are_those_of_its_window(tmp_path, settings, expected):
+    values = Config.of(**settings).to_json()
+    del values["features_of"]
+    write_json(tmp_path / CONFIG, values)
+    assert read_config(tmp_path).bonus.features_of == expected
+    write_json(tmp_path / CONFIG, Config.of(**settings).to_json())
+    assert read_config(tmp_path).bonus.features_of == "newest"
+
+
+@pytest.mark.parametrize(
     "content",
     [b"", b"{", b"\0\0\0", b"\xff\xfe", b"[1]", b"null", b'{"seed": 1, "seed": 2}', b"[" * 99_999],
     ids=lambda content: repr(content[:9]),
