@@ -22,6 +22,7 @@ from deep_curiosity.training.playback import (
     check_video,
     load_policy,
     load_usual_observation,
+    make_screen,
     record_episode,
     write_video,
 )
@@ -56,6 +57,7 @@ def main(arguments: Sequence[str]) -> int:
     args = read_arguments(Args, arguments, description=__doc__, prog="deep-curiosity evaluate")
     config = read_config(args.folder)
     environment = make_environment(config.environment)
+    screen = None if args.video is None else make_screen(config.environment)
     usual = None
     for hunger in args.hunger or (None,):
         act = load_policy(args.folder, config, environment, hunger=hunger)
@@ -65,8 +67,7 @@ def main(arguments: Sequence[str]) -> int:
         )
         at = "" if hunger is None else f" at hunger {hunger:g}"
         print(f"{config.environment.env_id}{at}: {describe_returns(episodes)}")
-    if args.video is not None:
-        screen = make_environment(config.environment, render_mode="rgb_array")
+    if screen is not None and args.video is not None:
         frames = record_episode(act, screen, seed=args.seed, usual_observation=usual)
         write_video(args.video, frames, fps=screen.metadata.get("render_fps", 30))
         print(f"video of {len(frames)} frames in {args.video}")

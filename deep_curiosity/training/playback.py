@@ -19,9 +19,9 @@ from deep_curiosity.arguments import check_file
 from deep_curiosity.requirements import require
 from deep_curiosity.training.checkpoint import load_checkpoint
 from deep_curiosity.training.collector import Collector, Episode, as_batch
-from deep_curiosity.training.config import Config
+from deep_curiosity.training.config import Config, EnvironmentConfig
 from deep_curiosity.training.divergence import DivergedError, broken_weight
-from deep_curiosity.training.environments import action_dim, observation_dim
+from deep_curiosity.training.environments import action_dim, make_environment, observation_dim
 from deep_curiosity.training.hunger import make_hunger_controller
 from deep_curiosity.training.interfaces import Policy
 from deep_curiosity.training.learner import make_evaluation_policy
@@ -95,6 +95,27 @@ def load_policy(
     return lambda observation, info: agent.act(observation, deterministic=True, greedy=True)
 
 
+def make_screen(config: EnvironmentConfig) -> gymnasium.Env:
+    """Environment that can be filmed, which it has shown by a frame.
+
+    Args:
+        config: Of a task that can be made; how it is rendered is the question.
+
+    Raises:
+        ValueError: If the task renders nothing.
+    """
+    try:
+        screen = make_environment(config, render_mode="rgb_array")
+    except ValueError as error:  # of a class that takes no such argument, or not this mode
+        raise _unfilmed(config.env_id) from error
+    screen.reset(seed=0)
+    try:
+        _frame(screen)
+    except NotImplementedError as error:
+        raise _unfilmed(config.env_id) from error
+    return screen
+
+
 def record_episode(
     act: Policy,
     environment: gymnasium.Env,
@@ -109,6 +130,9 @@ def record_episode(
         environment: Made with `render_mode="rgb_array"`.
         seed: Of the reset.
         usual_observation: That of the policy's run, see `load_usual_observation`.
+
+    Raises:
+        ValueError: If the environment renders something else than a frame.
     """
     collector = Collector(environment, seed, usual_observation=usual_observation)
     frames = [_frame(environment)]
@@ -166,5 +190,12 @@ def check_new(path: Path) -> None:
 
 def _frame(environment: gymnasium.Env) -> NDArray[np.uint8]:
     frame = environment.render()
-    assert isinstance(frame, np.ndarray)
+    if not isinstance(frame, np.ndarray):
+        raise _unfilmed(f"{environment}, whose frame is {frame!r:.60}")
     return frame.copy()  # a renderer may draw the next one into the same array
+
+
+def _unfilmed(task: str) -> ValueError:
+    return ValueError(
+        f"`video` must be left out for a task that renders no rgb_array, got {task}."
+    )

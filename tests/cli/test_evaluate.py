@@ -2,7 +2,9 @@ import math
 import os
 import subprocess
 import sys
+from typing import ClassVar
 
+import gymnasium
 import imageio.v2 as imageio
 import numpy as np
 import pytest
@@ -48,6 +50,59 @@ def test_a_video_is_written_where_something_renders(tiny, tmp_path):
     assert len(frames) == 70
     assert (frames[0] != frames[0, 0, 0]).any(-1).mean() > 0.01  # something is there
     assert (frames[0] != frames[-1]).any()  # and moves
+
+
+class Unseen(gymnasium.Env):
+    """A task that nobody can see; it counts its steps."""
+
+    observation_space = action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,))
+    num_steps = 0
+
+    def reset(self, *, seed=None, options=None):
+        super().reset(seed=seed)
+        return np.zeros(1, np.float32), {}
+
+    def step(self, action):
+        Unseen.num_steps += 1
+        return np.zeros(1, np.float32), 0.0, False, False, {}
+
+
+class Blank(Unseen):
+    """One that takes the mode, and draws nothing."""
+
+    metadata: ClassVar = {"render_modes": ["rgb_array"]}
+
+    def __init__(self, render_mode=None):
+        self.render_mode = render_mode
+
+    def render(self):
+        return None
+
+
+class Undrawn(Unseen):
+    """One that takes the mode, and has no drawing."""
+
+    metadata: ClassVar = {"render_modes": ["rgb_array"]}
+
+    def __init__(self, render_mode=None):
+        self.render_mode = render_mode
+
+
+@pytest.mark.filterwarnings("ignore:.*render_mode")  # of gymnasium, of a task without modes
+@pytest.mark.parametrize("task", [Unseen, Blank, Undrawn])
+def test_a_task_that_cannot_be_filmed_is_refused_before_it_is_played(
+    tiny, tmp_path, refusal, task
+):
+    name = f"evaluate/{task.__name__}-v0"
+    gymnasium.register(name, task)
+    train(tiny.override(env_id=name, env_kwargs={}), show_progress=False)
+    Unseen.num_steps = 0
+    answer = refusal("evaluate", tiny.run.out, "--video", tmp_path / "film.gif")
+    expected = "error: `video` must be left out for a task that renders no rgb_array, got"
+    assert expected in answer and task.__name__ in answer and "env_kwargs" not in answer
+    assert Unseen.num_steps == 0
+    assert not (tmp_path / "film.gif").exists()
+    assert main(["evaluate", str(tiny.run.out), "--episodes", "1"]) == 0
 
 
 def test_a_missing_video_package_is_asked_for_by_name(tmp_path, monkeypatch, refusal):
