@@ -17,6 +17,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, VectorEnv
 from torch import Tensor
 
+from deep_curiosity.training.infos import after_reset, is_told
 from deep_curiosity.training.interfaces import Info, Policy
 from deep_curiosity.training.interruption import cut_off_at_once
 from deep_curiosity.training.outliers import (
@@ -329,14 +330,7 @@ class Collector:
                 ],
                 options={"reset_mask": mask},
             )
-        given = {
-            name: _replaced(mask, np.asarray(value), self.present_info.get(name))
-            for name, value in info.items()
-            if np.shape(value)[:1] == mask.shape  # one for each environment
-        }
-        others = {} if mask.all() else self.present_info  # of which there are none
-        left = {name: _emptied(mask, others[name]) for name in others.keys() - given.keys()}
-        self.present_info = left | given
+        self.present_info = after_reset(mask, info, self.present_info)
         self._length[mask], self._return[mask], self._success[mask] = 0, 0.0, math.nan
         self.actions = self.actions[len(self.actions) - self._length.max() :]
         return start
@@ -346,26 +340,9 @@ def _episode_seed(seed: int, number: int) -> int:
     return int(np.random.SeedSequence((seed, number)).generate_state(1)[0])
 
 
-def _replaced(mask: np.ndarray, value: np.ndarray, before: Any) -> np.ndarray:
-    """What infos say of each environment, anew where the mask is."""
-    if np.shape(before) != value.shape:
-        return value
-    return np.where(mask.reshape(-1, *[1] * (value.ndim - 1)), value, before)
-
-
-def _emptied(mask: np.ndarray, value: Any) -> Any:
-    """What infos say of each environment, nothing where the mask is, as vector environments do."""
-    if np.shape(value)[:1] != mask.shape:
-        return value
-    emptied = np.array(value)
-    emptied[mask] = None if emptied.dtype == object else 0
-    return emptied
-
-
 def _entry_of(info: Info, name: str) -> np.ndarray:
     """An entry of the infos of all environments; NaN in those that did not give it."""
-    value = np.asarray(info[name], dtype=float)
-    return np.where(info.get(f"_{name}", True), value, math.nan)
+    return np.where(is_told(info, name), np.asarray(info[name], dtype=float), math.nan)
 
 
 def _check_repeated(observation: np.ndarray, expected: np.ndarray, num_steps: int) -> None:

@@ -23,7 +23,7 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
-from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv
+from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.wrappers import (
     FilterObservation,
     FlattenObservation,
@@ -35,6 +35,7 @@ from gymnasium.wrappers import (
 import deep_curiosity_envs
 from deep_curiosity.training.config import EnvironmentConfig
 from deep_curiosity.training.frame_stack import FrameStack, VectorFrameStack
+from deep_curiosity.training.infos import AsyncEnvironments, SyncEnvironments
 from deep_curiosity.training.spaces import Entry, TaskSpaces
 from deep_curiosity.training.wrappers import ActionRepeat, PlainSteps, VectorObservation
 
@@ -304,10 +305,10 @@ def _make_vector(
         _check_native(config)
     if config.vectorization == "async":
         workers = [partial(_make_in_worker, config, source)] * config.num_envs
-        return AsyncVectorEnv(workers, autoreset_mode=AutoresetMode.DISABLED)
+        return AsyncEnvironments(workers, autoreset_mode=AutoresetMode.DISABLED)
     if config.vectorization == "sync" or not _has_native(config):
         makers = [partial(_make, config, source)] * config.num_envs
-        return SyncVectorEnv(makers, autoreset_mode=AutoresetMode.DISABLED)
+        return SyncEnvironments(makers, autoreset_mode=AutoresetMode.DISABLED)
     assert isinstance(source, EnvSpec)
     env_kwargs: dict[str, Any] = dict(config.env_kwargs)
     if config.max_episode_steps is not None:

@@ -47,9 +47,9 @@ def environment_failure(
 def failed_index(error: BaseException) -> int | None:
     """Which of several environments that are stepped in turn has raised, from 0, where known."""
     for frame, _ in traceback.walk_tb(error.__traceback__):
-        if isinstance(frame.f_locals.get("self"), SyncVectorEnv):
-            index = frame.f_locals.get("i")
-            return index if isinstance(index, int) else None
+        index = frame.f_locals.get("i")
+        if isinstance(frame.f_locals.get("self"), SyncVectorEnv) and isinstance(index, int):
+            return index
     return None
 
 

@@ -16,6 +16,7 @@ import torch
 from deep_curiosity.agent.config import ConditionedHunger
 from deep_curiosity.schedules import Schedule
 from deep_curiosity.training.config import Config
+from deep_curiosity.training.infos import is_told
 from deep_curiosity.training.interfaces import Info
 
 RANDOM_HUNGERS = (0.0, 0.5, 1.0, 1.0)  # one episode of four is purely curious, two are greedy
@@ -129,15 +130,31 @@ def battery_hunger(entry: int | str, observation_dim: int) -> HungerFunction:
     def hunger(observation: np.ndarray, info: Info) -> np.ndarray:
         if isinstance(entry, int):
             charge = observation[:, entry]
-        elif entry in info:
-            charge = np.atleast_1d(info[entry])
         else:
-            raise ValueError(
-                f"`battery` must be an entry of every info, {sorted(info)}, got {entry!r}."
-            )
+            charge = _charge(info, entry)
         return np.clip((1.0 - charge) / CHARGE_OF_FULL_HUNGER, 0.0, 1.0)
 
     return hunger
+
+
+def _charge(info: Info, entry: str) -> np.ndarray:
+    """Charge of the battery in each environment, by their infos.
+
+    Raises:
+        ValueError: If one of them does not tell it, or tells no finite number.
+    """
+    told = is_told(info, entry)
+    if not told.all():
+        without = f", of which number {np.argmin(told)} has none" if told.ndim else ""
+        raise ValueError(
+            f"`battery` must be an entry of every info, {sorted(info)}{without}, got {entry!r}."
+        )
+    charge = np.atleast_1d(info[entry])
+    if charge.dtype.kind not in "biuf" or not np.isfinite(charge).all():
+        raise ValueError(
+            f"`battery` must be a finite number in every info, got {charge.tolist()} as {entry!r}."
+        )
+    return charge
 
 
 class RandomHunger(HungerController):

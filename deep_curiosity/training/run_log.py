@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from deep_curiosity.training.collector import Episode
+from deep_curiosity.training.infos import is_told
+from deep_curiosity.training.interfaces import Info
 
 EPISODE_LISTS = ("episodes", "evaluations")
 NUM_RECENT = 10  # episodes over which returns and success are averaged
@@ -33,14 +35,14 @@ class RunLog:
     learning_seconds: float = 0.0
     wall_seconds: float = 0.0
 
-    def on_step(self, info: dict[str, Any]) -> None:
+    def on_step(self, info: Info) -> None:
         """Note what the infos of the environments say of the step just taken."""
-        if self.first_success_step is None and np.any(info.get("is_success", False)):
+        if self.first_success_step is None and any(_told(info, "is_success")):
             self.first_success_step = self.step
-        cells = np.ravel(info.get("cell", ()))
-        if cells.dtype.kind in "iu":  # else the word means something else in this task
-            for cell in cells.tolist():
-                self.cells.setdefault(cell, self.step)
+        for cell in _told(info, "cell"):
+            # else the word means something else in this task
+            if isinstance(cell, int | np.integer) and not isinstance(cell, bool):
+                self.cells.setdefault(int(cell), self.step)
 
     def on_learned(self, num_steps: int, seconds: float) -> None:
         """Count environment steps, taken once learning has begun."""
@@ -128,6 +130,15 @@ def success_rate(
     if not successes or (not is_defined and all(map(math.isnan, successes))):
         return None
     return float(np.nan_to_num(successes[-num_recent:]).mean())
+
+
+def _told(info: Info, name: str) -> list[Any]:
+    """What the environments say under a name that say anything."""
+    told = np.ravel(np.asarray(info.get(name, ()))[is_told(info, name)])
+    if told.dtype != object:
+        return told.tolist()
+    of_each = (np.ravel(value) if isinstance(value, np.ndarray) else [value] for value in told)
+    return [value for values in of_each for value in values]
 
 
 def _or_none(value: float) -> float | None:

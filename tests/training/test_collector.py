@@ -11,6 +11,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from deep_curiosity.training.collector import Collector, Episode, evaluate
 from deep_curiosity.training.config import EnvironmentConfig
 from deep_curiosity.training.environments import make_vector_environment
+from deep_curiosity.training.infos import SyncEnvironments
 
 
 class Counter(gymnasium.Env):
@@ -244,7 +245,7 @@ def test_what_an_episode_told_is_not_told_of_the_next(num_envs):
             return observation, *rest, {"charge": 0.5, "name": "full"}
 
     lengths = [4, 5, 7][:num_envs]
-    environments = SyncVectorEnv(
+    environments = SyncEnvironments(
         [lambda length=length: Telling(length) for length in lengths],
         autoreset_mode=AutoresetMode.DISABLED,
     )
@@ -258,7 +259,7 @@ def test_what_an_episode_told_is_not_told_of_the_next(num_envs):
             assert "charge" not in told
         elif num_envs > 1:
             assert told["_charge"].tolist() == (~began).tolist()
-            assert told["charge"].tolist() == np.where(began, 0.0, 0.5).tolist()
+            assert np.array_equal(told["charge"], np.where(began, math.nan, 0.5), equal_nan=True)
             assert [name is None for name in told["name"]] == began.tolist()
     assert ended >= 3
 

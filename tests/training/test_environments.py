@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 from gymnasium import spaces
-from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
+from gymnasium.vector import AutoresetMode
 
 import deep_curiosity_envs
 from deep_curiosity.training import environments
@@ -28,6 +28,7 @@ from deep_curiosity.training.environments import (
     picture_features,
     registered_id,
 )
+from deep_curiosity.training.infos import AsyncEnvironments, SyncEnvironments
 from deep_curiosity_envs import MujocoVectorEnv
 
 VECTOR = spaces.Box(-1.0, 1.0, (3,))
@@ -139,9 +140,9 @@ def test_unknown_arguments_of_an_environment_are_named():
     [
         ("PointMaze", "auto", MujocoVectorEnv),
         ("PointMaze", "native", MujocoVectorEnv),
-        ("PointMaze", "sync", SyncVectorEnv),
-        ("MountainCarContinuous-v0", "auto", SyncVectorEnv),
-        ("MountainCarContinuous-v0", "async", AsyncVectorEnv),
+        ("PointMaze", "sync", SyncEnvironments),
+        ("MountainCarContinuous-v0", "auto", SyncEnvironments),
+        ("MountainCarContinuous-v0", "async", AsyncEnvironments),
     ],
 )
 def test_environments_are_made_in_the_way_that_is_set(env_id, vectorization, kind):
@@ -429,7 +430,7 @@ def test_success_is_heard_and_ends_an_episode_if_that_is_wanted(own):
 
 def test_a_native_environment_does_not_end_at_success():
     config = EnvironmentConfig("PointMaze", num_envs=2, terminate_on_success=True)
-    assert type(make_vector_environment(config)) is SyncVectorEnv
+    assert type(make_vector_environment(config)) is SyncEnvironments
     with pytest.raises(
         ValueError, match=r"`vectorization` must be .*end at success, got 'native'"
     ):

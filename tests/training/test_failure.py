@@ -9,6 +9,7 @@ from deep_curiosity.training.failure import (
     failed_index,
     note,
 )
+from deep_curiosity.training.infos import SyncEnvironments
 
 
 class Breaking(gymnasium.Wrapper):
@@ -16,12 +17,13 @@ class Breaking(gymnasium.Wrapper):
         raise OSError("the link to the robot is down")
 
 
-def test_the_one_of_several_environments_that_raised_is_named():
+@pytest.mark.parametrize("kind", [SyncVectorEnv, SyncEnvironments])
+def test_the_one_of_several_environments_that_raised_is_named(kind):
     makers = [
         lambda wrap=wrap: wrap(gymnasium.make("Pendulum-v1"))
         for wrap in (gymnasium.Wrapper, gymnasium.Wrapper, Breaking)
     ]
-    several = SyncVectorEnv(makers, autoreset_mode=AutoresetMode.DISABLED)
+    several = kind(makers, autoreset_mode=AutoresetMode.DISABLED)
     several.reset(seed=0)
     with pytest.raises(OSError, match="robot") as raised:
         several.step(several.action_space.sample())

@@ -14,6 +14,7 @@ from deep_curiosity.training.hunger import (
     ScheduledHunger,
     make_hunger_controller,
 )
+from deep_curiosity.training.infos import joined
 from deep_curiosity.training.learner import Learner
 from deep_curiosity.training.log import read_progress
 from deep_curiosity.training.playback import load_policy
@@ -108,6 +109,25 @@ def test_a_battery_must_be_in_the_info():
     hunger_controller = make_hunger_controller(Config.of(hunger="battery:fuel"), observation_dim=3)
     with pytest.raises(ValueError, match=r"`battery` .* \['energy'\], got 'fuel'"):
         hunger_controller.hunger(0, NOTHING, {"energy": 1.0})
+
+
+def test_a_battery_must_be_in_the_info_of_every_environment():
+    hunger_controller = make_hunger_controller(Config.of(hunger="battery:fuel"), observation_dim=3)
+    infos = joined([{"fuel": 1}, {"fuel": 0.75}])
+    assert hunger_controller.hunger(0, np.zeros((2, 3)), infos).tolist() == [0.0, 0.5]
+    for fuel in (0.5, 1):
+        infos = joined([{"fuel": fuel}, {"energy": fuel}])
+        with pytest.raises(ValueError, match=r"`battery` .* number 1 has none, got 'fuel'"):
+            hunger_controller.hunger(0, np.zeros((2, 3)), infos)
+
+
+@pytest.mark.parametrize("fuel", [None, "full", {"left": 0.5}, math.nan])
+@pytest.mark.parametrize("num_envs", [1, 2])
+def test_a_battery_must_be_a_number(fuel, num_envs):
+    hunger_controller = make_hunger_controller(Config.of(hunger="battery:fuel"), observation_dim=3)
+    infos = joined([{"fuel": fuel}] * num_envs)
+    with pytest.raises(ValueError, match="`battery` must be a finite number in every info, got"):
+        hunger_controller.hunger(0, np.zeros((num_envs, 3)), infos)
 
 
 @pytest.mark.parametrize("value", [1.0, "conditioned:1.0"])

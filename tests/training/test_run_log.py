@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from deep_curiosity.training.collector import Episode
+from deep_curiosity.training.infos import joined
 from deep_curiosity.training.run_log import NUM_RECENT, RunLog, mean_return, success_rate
 
 EPISODES = [Episode(float(number), 5, number % 2) for number in range(15)]
@@ -44,6 +45,17 @@ def test_a_cell_is_noted_when_it_is_first_visited():
     assert log.cells == {1: 2, 2: 4, 3: 6}
     assert log.coverage(12) == pytest.approx(0.25)
     assert log.coverage(None) is None
+
+
+def test_a_cell_is_that_of_an_environment_which_tells_one():
+    log = RunLog(step=2)
+    for cell in (5, np.int64(6), np.array([7]), np.array([8, 9])):
+        log.on_step(joined([{}, {"cell": cell}]))
+    log.on_step(joined([{}, {"is_success": False}, {"cell": 5.0}, {"cell": True}]))
+    assert log.cells == dict.fromkeys(range(5, 10), 2)
+    assert log.first_success_step is None
+    log.on_step(joined([{}, {"is_success": True}]))
+    assert log.first_success_step == 2
 
 
 @pytest.mark.parametrize("cell", ["kitchen", None, 0.5, [None]])
