@@ -144,7 +144,7 @@ def coerce(name: str, annotation: Any, value: Any) -> Any:
     options = get_args(annotation) if _is_union(annotation) else (annotation,)
     for option in options:
         if _is_of(option, value):
-            return value.expanduser() if isinstance(value, Path) else value
+            return _at_home(value)
     problems: list[str] = []
     for option in options:
         try:
@@ -207,7 +207,7 @@ def _convert(option: Any, value: Any) -> Any:
     origin, args = get_origin(option), get_args(option)
     if origin is tuple and isinstance(value, list | tuple | range):
         entries = tuple(value)
-        return entries if all(_is_of(args[0], entry) for entry in entries) else None
+        return _at_home(entries) if all(_is_of(args[0], entry) for entry in entries) else None
     if origin in (dict, Mapping) and isinstance(value, Mapping):
         converted = {key: _as(args[1], entry) for key, entry in value.items()}
         return None if None in converted.values() else converted
@@ -216,10 +216,25 @@ def _convert(option: Any, value: Any) -> Any:
     if option is Path and isinstance(value, str):
         if not value:
             raise ValueError("a path must have characters, got ''.")
-        return Path(value).expanduser()
+        return from_home(Path(value))
     if isinstance(value, str) and hasattr(option, "parse"):
         return option.parse(value)
     return None
+
+
+def from_home(path: Path) -> Path:
+    """The path that is meant, which may begin at a home folder; as it is where there is none."""
+    try:
+        return path.expanduser()
+    except RuntimeError:  # of a user who is not known here
+        return path
+
+
+def _at_home(value: Any) -> Any:
+    """A value whose paths are those that are meant."""
+    if isinstance(value, tuple):
+        return tuple(_at_home(entry) for entry in value)
+    return from_home(value) if isinstance(value, Path) else value
 
 
 def _as_float(value: int) -> float:

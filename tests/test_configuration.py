@@ -186,3 +186,19 @@ def test_flat_names_are_unique_whatever_the_bonus(kind):
 def test_every_default_is_read_back_from_its_plain_form(kind):
     config = Config.of(bonus=kind)
     assert Config.from_json(config.to_json()) == config
+
+
+def test_paths_begin_at_the_home_folder_wherever_they_stand(monkeypatch):
+    @dataclass(frozen=True)
+    class Places(Group):
+        one: Path = Path("one")
+        all: tuple[Path, ...] = ()
+
+    monkeypatch.setenv("HOME", "/home/ada")
+    expected = (Path("/home/ada/runs"), Path("runs"))
+    given = (Path("~/runs"), Path("runs"))
+    assert Places(all=given).all == override(Places(), all=list(given)).all == expected
+    assert Places(Path("~/runs")).one == Places("~/runs").one == expected[0]
+    unknown = Path("~nobody-of-this-name/runs")
+    assert Places(unknown, (unknown,)) == Places(str(unknown), (unknown,))
+    assert Places(unknown).one == unknown

@@ -21,7 +21,7 @@ import tyro
 
 from deep_curiosity.arguments import check_folder, read_arguments
 from deep_curiosity.bonuses.config import BONUS_CONFIGS
-from deep_curiosity.configuration import Setting, coerce, flat, unknown_setting
+from deep_curiosity.configuration import Setting, coerce, flat, from_home, unknown_setting
 from deep_curiosity.training.config import IGNORED, PRESETS, Config, merge_config
 from deep_curiosity.training.log import read_config
 
@@ -104,7 +104,7 @@ def parse(
     resume = _peek(given, "--resume")
     own = Config() if resume is None else _read_own(resume)
     path = _peek(given, "--settings")
-    file = {} if path is None else read_file(Path(path))
+    file = {} if path is None else read_file(from_home(Path(path)))
     preset = _known(_peek(given, "--preset"), PRESETS)
     bonus = _known(_peek(given, "--bonus"), BONUS_CONFIGS)
     base = own.override(preset, bonus=bonus or file.get("bonus", own.bonus))
@@ -130,8 +130,9 @@ def parse(
 
 def _read_own(folder: str) -> Config:
     """Settings of the run that is to be continued."""
-    check_folder("resume", Path(folder))
-    return read_config(Path(folder), "resume")
+    path = from_home(Path(folder))
+    check_folder("resume", path)
+    return read_config(path, "resume")
 
 
 def read_file(path: Path) -> dict[str, Any]:

@@ -17,6 +17,14 @@ def test_runs_become_a_picture_and_a_page(tiny, tmp_path, capsys):
     assert '"curiosity/nats"' in page
 
 
+def test_runs_below_the_home_folder_are_drawn(tiny, monkeypatch, capsys):
+    train(tiny, show_progress=False)
+    monkeypatch.setenv("HOME", str(tiny.run.out.parent))
+    assert main(["plot", "~/run", "--out", "~/curves"]) == 0
+    assert capsys.readouterr().out.startswith("1 runs in ")
+    assert (tiny.run.out.parent / "curves.png").exists()
+
+
 @pytest.mark.parametrize("arguments", [["no/such"], [".", "--tags", "agent/luck"]], ids=str)
 def test_what_cannot_be_drawn_is_answered_in_one_line(arguments, tmp_path, monkeypatch, refusal):
     monkeypatch.chdir(tmp_path)

@@ -195,7 +195,7 @@ def test_a_continued_run_obeys_its_number_of_steps_even_the_default(run, total_s
         (["--log-interval", 20, "--evaluation-interval", 40], None),
         (["--evaluation-episodes", 3, "--checkpoint-interval", 7], None),
         (["--threads", 2, "--compile", "off", "--matmul-precision", "high"], None),
-        (["--no-direct-matmul", "--no-keep-memory"], None),
+        (["--compile", "on", "--no-direct-matmul", "--no-keep-memory"], None),
         (["--hidden-dim", 16, "--seed", 5, "--preset", "exact"], {}),
     ],
     ids=str,
@@ -280,6 +280,13 @@ def test_settings_are_read_from_pairs_as_python_or_as_text():
 def test_a_continued_run_is_refused_other_settings_by_name(run, arguments, message):
     with pytest.raises(ValueError, match=message):
         read("--resume", run, *arguments)
+
+
+def test_files_and_runs_are_found_below_the_home_folder(run, monkeypatch):
+    monkeypatch.setenv("HOME", str(run.parent))
+    assert read("--resume=~/run") == read("--resume", "~/run") == read("--resume", run)
+    written(run.parent / "best.json", {"seed": 7})
+    assert read("--settings=~/best.json").run.seed == 7
 
 
 def test_a_folder_without_a_run_is_named():
