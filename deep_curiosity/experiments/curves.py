@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -56,18 +57,36 @@ class RunCurves:
 
 
 def find_runs(paths: Iterable[Path]) -> list[Path]:
-    """Folders of runs: each path is one, or has some somewhere below it.
+    """Folders of runs: each path is one, or has some somewhere below it, if by a link.
+
+    A folder to which several ways lead is found once.
 
     Raises:
         FileNotFoundError: If a path has no run.
     """
-    found: dict[Path, None] = {}
+    found: dict[Path, Path] = {}
     for path in paths:
-        folders = [config.parent for config in sorted(path.rglob(CONFIG))]
+        folders = _run_folders(path)
         if not folders:
             raise FileNotFoundError(f"`runs` must be folders of runs, got {path}, which has none.")
-        found |= dict.fromkeys(folders)
-    return list(found)
+        for folder in folders:
+            found.setdefault(folder.resolve(), folder)
+    return list(found.values())
+
+
+def _run_folders(path: Path) -> list[Path]:
+    """Folders with settings below a path, in their order; links are followed."""
+    found, been = [], set()
+    for name, below, names in os.walk(path, followlinks=True):
+        folder = Path(name)
+        if folder.resolve() in been:  # a link leads back
+            below.clear()
+            continue
+        been.add(folder.resolve())
+        below.sort()  # so that of several ways the same one is taken again
+        if CONFIG in names:
+            found.append(folder)
+    return sorted(found)
 
 
 def read_runs(folders: Sequence[Path], group_by: Sequence[str] = ()) -> list[RunCurves]:

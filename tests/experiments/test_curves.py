@@ -56,6 +56,17 @@ def test_runs_are_found_below_a_folder_each_once(folder):
         find_runs([folder / "nothing"])
 
 
+def test_runs_are_found_behind_links_each_once(folder, tmp_path):
+    links = tmp_path / "links"
+    links.mkdir()
+    (links / "chosen").symlink_to(folder / "PointMaze-none-0", target_is_directory=True)
+    assert find_runs([links]) == [links / "chosen"]
+    assert find_runs([links / "chosen"]) == [links / "chosen"]
+    assert len(find_runs([folder])) == len(find_runs([folder, links])) == 6
+    (links / "back").symlink_to(tmp_path, target_is_directory=True)
+    assert len(find_runs([links])) == 6
+
+
 def test_an_agent_is_named_by_what_sets_it_apart_and_seeds_do_not(runs):
     assert {(run.task, run.agent) for run in runs} == set(RETURNS)
 
