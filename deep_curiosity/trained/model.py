@@ -1,5 +1,6 @@
 """Model and bonus of a run for use: predictions in units of the task, and the bonus, frozen."""
 
+import numbers
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,6 +13,7 @@ from torch import Tensor
 from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.bonuses.dynamics import DynamicsEnsemble
 from deep_curiosity.bonuses.frozen import FrozenBonus
+from deep_curiosity.replay import SEEDS
 from deep_curiosity.trained.policy import (
     ActionBounds,
     as_batch,
@@ -22,6 +24,7 @@ from deep_curiosity.trained.policy import (
 from deep_curiosity.trained.source import Trained, read_trained
 from deep_curiosity.training.parts import make_run_bonus
 from deep_curiosity.training.spaces import TaskSpaces
+from deep_curiosity.transitions import check_counts
 
 
 class Prediction(NamedTuple):
@@ -70,8 +73,12 @@ class TrainedModel:
             seed: Of the samples.
 
         Raises:
-            ValueError: If a shape is wrong, or a value NaN or infinite.
+            TypeError: If the number of samples or the seed is no whole number.
+            ValueError: If a shape is wrong, a value NaN or infinite, no sample is wanted, or the
+                seed is none that torch takes.
         """
+        check_counts(num_samples=num_samples)
+        _check_seed(seed)
         vector = self._vector(observation)
         batch = as_batch("observation", vector, self.dynamics.observation_dim)
         given = np.asarray(action, dtype=np.float32)
@@ -81,7 +88,7 @@ class TrainedModel:
                 f"`action` must be one for each observation, {len(batch)}, got {len(actions)}."
             )
         found = self._predict(
-            torch.from_numpy(batch), torch.from_numpy(actions), num_samples, seed
+            torch.from_numpy(batch), torch.from_numpy(actions), int(num_samples), seed
         )
         single = vector.ndim == 1
         return Prediction(*(value[..., 0, :] if single else value for value in found))
@@ -107,7 +114,7 @@ class TrainedModel:
         """Mean, the three standard deviations, and samples, `(batch, observation_dim)` each."""
         means, variances = self.dynamics.change(observation, action)
         epistemic, aleatoric = means.var(0, correction=0), variances.mean(0)
-        generator = torch.Generator().manual_seed(seed)
+        generator = torch.Generator().manual_seed(int(seed))
         shape = num_samples, *observation.shape
         noise = torch.randn(shape, generator=generator, dtype=torch.float64)
         choice = torch.rand(num_samples, len(observation), generator=generator)
@@ -163,6 +170,13 @@ def load_bonus(folder: str | Path) -> FrozenBonus:
     if bonus is None:
         raise ValueError(f"`folder` must be of a run with a bonus, got bonus 'none' in {folder}.")
     return FrozenBonus(bonus)
+
+
+def _check_seed(seed: Any) -> None:
+    if isinstance(seed, bool) or not isinstance(seed, numbers.Integral):
+        raise TypeError(f"`seed` must be a whole number, got {seed!r}.")
+    if not SEEDS[0] <= int(seed) < SEEDS[1]:
+        raise ValueError(f"`seed` must lie in [-2**63, 2**64), got {seed}.")
 
 
 def _make_bonus(trained: Trained) -> Bonus | None:
