@@ -133,9 +133,7 @@ def _take_step(run: Run) -> None:
     # (a, b, c, e) Renew model, p(x'), values, policy, p(a) and temperature
     if learning:
         run.learn()
-        num_envs = run.config.environment.num_envs
-        run_log.on_learned(num_envs, time.perf_counter() - step_started)
-    run.unrecorded = True
+        run_log.learning_seconds += time.perf_counter() - step_started
 
 
 def _record_step(

@@ -159,6 +159,7 @@ class Run:
                 raise
         self.action = None
         self.run_log.step += self.config.environment.num_envs
+        self.unrecorded = True
         return finished
 
     def evaluate(self) -> dict[str, float]:
@@ -191,15 +192,17 @@ class Run:
         return values
 
     def learn(self) -> None:
-        """Update as often as the newest steps call for.
+        """Update as often as the newest steps call for; not at all before one is held in replay.
 
         Raises:
             DivergedError: If a loss is not finite when the run is saved.
             EnvironmentFailedError: If its `compute_reward` fails on a goal in hindsight; the steps
                 are saved, and the updates that they still call for are left out.
         """
+        due = self.updates_due if len(self.learner.replay) else 0
+        self.run_log.learning_steps += self.config.environment.num_envs  # whatever comes of them
         with self._saved_on_failure("an update", GoalFunctionError):
-            for _ in range(self.updates_due):
+            for _ in range(due):
                 self.metrics = self.learner.update()
 
     @contextmanager

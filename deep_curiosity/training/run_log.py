@@ -32,7 +32,9 @@ class RunLog:
     cells: dict[int, int] = field(default_factory=dict)
     """Visited cell to the step at which it was first visited."""
     learning_steps: int = 0
+    """Environment steps taken since learning has begun."""
     learning_seconds: float = 0.0
+    """That they took, updates included."""
     wall_seconds: float = 0.0
 
     def on_step(self, info: Info) -> None:
@@ -43,11 +45,6 @@ class RunLog:
             # else the word means something else in this task
             if isinstance(cell, int | np.integer) and not isinstance(cell, bool):
                 self.cells.setdefault(int(cell), self.step)
-
-    def on_learned(self, num_steps: int, seconds: float) -> None:
-        """Count environment steps, taken once learning has begun."""
-        self.learning_steps += num_steps
-        self.learning_seconds += seconds
 
     def on_evaluated(self, episodes: Sequence[Episode]) -> None:
         """Note the episodes of an evaluation at the present step."""

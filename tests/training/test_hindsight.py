@@ -18,6 +18,7 @@ from deep_curiosity.training.environments import make_environment, task_spaces
 from deep_curiosity.training.failure import EnvironmentFailedError
 from deep_curiosity.training.hindsight import GoalFunctionError, Hindsight, make_hindsight
 from deep_curiosity.training.learner import Learner
+from deep_curiosity.training.log import read_progress
 from deep_curiosity.training.spaces import Entry, TaskSpaces
 
 BOX = spaces.Box(-10.0, 10.0, (2,), np.float64)
@@ -232,6 +233,40 @@ def test_a_function_of_goals_that_fails_in_an_update_loses_nothing(tiny):
     assert f"after step {step}; all up to step {step} is saved" in str(raised.value)
     summary = continue_run(config.run.out, make_env=FailsLater, show_progress=False)
     assert summary["total_steps"] == 40
+
+
+class FailsNow(Reach):
+    """The same, whose reward fails when it is told to."""
+
+    is_failing = False
+
+    def compute_reward(self, achieved, desired, info):
+        if self.is_failing:
+            raise OSError("the table of rewards is gone")
+        return super().compute_reward(achieved, desired, info)
+
+
+@pytest.mark.parametrize("failing_step", [30, 40])
+def test_a_step_whose_updates_fail_is_evaluated_and_logged(tiny, monkeypatch, failing_step):
+    """Also where it is the last one, after which there is nothing else to go on with."""
+    config = own(tiny, total_steps=40, evaluation_interval=10, evaluation_episodes=1)
+    update = Learner.update
+
+    def failing(self):
+        FailsNow.is_failing = len(self.replay) == failing_step
+        try:
+            return update(self)
+        finally:
+            FailsNow.is_failing = False
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Learner, "update", failing)
+        with pytest.raises(EnvironmentFailedError, match=f"an update after step {failing_step}"):
+            train(config, make_env=FailsNow, show_progress=False)
+    summary = continue_run(config.run.out, make_env=FailsNow, show_progress=False)
+    assert summary["total_steps"] == summary["evaluation_step"] == 40
+    assert [int(row["step"]) for row in read_progress(config.run.out)] == [30, 40]
+    assert load_checkpoint(config.run.out)["run_log"]["learning_steps"] == 20
 
 
 @pytest.mark.parametrize("given", [np.ones(2), "no number", None], ids=repr)

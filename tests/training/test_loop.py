@@ -529,6 +529,28 @@ def test_a_nan_from_the_environment_stops_the_run_by_name(tiny, monkeypatch):
         train(tiny, show_progress=False)
 
 
+@pytest.mark.filterwarnings("ignore:`observation` and `reward` must be finite")
+@pytest.mark.parametrize("num_envs", [1, 2])
+def test_nothing_is_learned_before_a_step_is_held(tiny, num_envs):
+    class BreaksAtFirst(gymnasium.wrappers.TransformReward):
+        broken = 0
+
+        def __init__(self):
+            super().__init__(gymnasium.make("Pendulum-v1"), self.first_broken)
+
+        def first_broken(self, reward):
+            type(self).broken += 1
+            return np.nan if self.broken <= 2 * num_envs else reward
+
+    config = tiny.override(env_id=EnvironmentConfig().env_id, env_kwargs={}, num_envs=num_envs)
+    config = config.override(learning_starts=0, total_steps=20)
+    summary = train(config, make_env=BreaksAtFirst, show_progress=False)
+    assert summary["broken_episodes"] == 2 * num_envs
+    state = load_checkpoint(config.run.out)
+    assert state["run_log"]["learning_steps"] == 20
+    assert len(rows(config.run.out)) == 1
+
+
 def test_ctrl_c_ends_after_the_step_with_a_checkpoint(tiny, monkeypatch, capsys):
     handler = signal.getsignal(signal.SIGINT)
     update = Learner.update

@@ -70,15 +70,13 @@ def test_speed_is_counted_while_learning():
     log = RunLog()
     assert math.isnan(log.steps_per_second)
     assert log.summary(None)["steps_per_second"] is None
-    log.on_learned(4, 0.5)
-    log.on_learned(4, 1.5)
-    assert log.steps_per_second == pytest.approx(4.0)
-    assert log.learning_steps == 8
+    log = RunLog(learning_steps=8, learning_seconds=2.0)
+    assert log.steps_per_second == log.summary(None)["steps_per_second"] == pytest.approx(4.0)
 
 
 def test_it_comes_back_from_a_checkpoint(tmp_path):
     log = RunLog(step=9, episodes=EPISODES, evaluations=EPISODES[:2], cells={4: 1})
-    log.on_learned(3, 0.25)
+    log.learning_steps, log.learning_seconds = 3, 0.25
     torch.save(log.state_dict(), tmp_path / "log.pt")
     restored = RunLog.from_state(torch.load(tmp_path / "log.pt", weights_only=True))
     assert restored == log
