@@ -81,9 +81,7 @@ def train(
     function: HungerFunction | None = hunger if is_function else None
     if hunger is not None and function is None:
         settings["hunger"] = hunger
-    if env is not None:
-        settings["env_id"] = env
-    config = Config.of(preset, **settings)
+    config = Config.of(preset, **settings, **_task(env, make_env, settings))
     summary = train_agent(
         config,
         hunger=function,
@@ -93,6 +91,23 @@ def train(
         show_progress=show_progress,
     )
     return TrainedRun(config.run.out.absolute(), summary)
+
+
+def _task(
+    env: str | None, make_env: Callable[[], Any] | None, settings: dict[str, Any]
+) -> dict[str, Any]:
+    """The task as a setting, where it is given as an argument of its own.
+
+    Raises:
+        ValueError: If it is given twice, be it the default.
+    """
+    if env is not None and "env_id" in settings:
+        raise ValueError(f"`env` must be left out beside `env_id`, got {env!r}.")
+    given = {} if env is None else {"env_id": env}
+    named = given.get("env_id", settings.get("env_id"))
+    if make_env is not None and named is not None:
+        raise ValueError(f"`env_id` must be left out beside `make_env`, got {named!r}.")
+    return given
 
 
 def continue_run(

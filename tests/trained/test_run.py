@@ -101,6 +101,15 @@ def test_a_task_of_ones_own_with_dictionaries(tmp_path, settings):
     assert again.summary["total_steps"] == 60
 
 
+@pytest.mark.parametrize("given", [{"env": TASK}, {"env_id": Config().environment.env_id}])
+def test_a_task_is_given_by_an_id_or_by_a_function(tmp_path, given):
+    with pytest.raises(ValueError, match="`env_id` must be left out beside `make_env`, got '"):
+        dc.train(make_env=lambda: gymnasium.make(TASK), out=tmp_path / "run", **given, **TINY)
+    with pytest.raises(ValueError, match="`env` must be left out beside `env_id`, got '"):
+        dc.train(TASK, env_id="PointMaze", out=tmp_path / "run", **TINY)
+    assert not (tmp_path / "run").exists()
+
+
 def test_a_run_goes_on(tmp_path):
     dc.train(TASK, out=tmp_path / "run", **TINY)
     run = dc.continue_run(tmp_path / "run", total_steps=60, show_progress=False)
