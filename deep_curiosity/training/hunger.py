@@ -51,6 +51,9 @@ class HungerController(abc.ABC):
     def record(self, reward: np.ndarray, ended: np.ndarray) -> None:  # noqa: B027  most ignore it
         """Record the newest step of each environment: its reward, and whether an episode ended."""
 
+    def begin(self, index: int) -> None:  # noqa: B027  most ignore it
+        """Choose afresh for an environment whose episode begins; `record` does so by itself."""
+
     def state_dict(self) -> dict[str, Any]:
         """What a resumed run must know."""
         return {}
@@ -176,7 +179,11 @@ class RandomHunger(HungerController):
     def record(self, reward: np.ndarray, ended: np.ndarray) -> None:
         """Sample again where an episode has ended."""
         for index in np.flatnonzero(ended):
-            self._held[index] = self._sample()
+            self.begin(int(index))
+
+    def begin(self, index: int) -> None:
+        """Sample for the episode that begins."""
+        self._held[index] = self._sample()
 
     def state_dict(self) -> dict[str, Any]:
         """The hunger in each environment."""

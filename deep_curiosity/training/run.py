@@ -329,6 +329,7 @@ class Run:
         self.learner.load_state_dict(state["learner"])  # random numbers last of all
         if new_episode:
             self.learner.replay.cut_off()
+            self._begin_episodes()
             state = state | {"action": None}
         self.run_log = RunLog.from_state(state["run_log"])
         self.metrics = state.get("metrics", {})
@@ -339,6 +340,16 @@ class Run:
         agent, bonus = self.learner.agent, self.learner.bonus
         self._refuse_broken(broken_weight(agent=agent, bonus=bonus))
         self.saved_step = self.run_log.step
+
+    def _begin_episodes(self) -> None:
+        """Choose afresh, in all environments, what is chosen where an episode begins."""
+        learner, num_envs = self.learner, self.config.environment.num_envs
+        for index in range(num_envs):
+            learner.hunger_controller.begin(index)
+        learner.greedy_stretches.record(np.ones(num_envs, dtype=bool), learner.agent.greedy_share)
+        if learner.noise is not None:
+            for index in range(num_envs):
+                learner.noise.begin(index)
 
     def _refuse_broken(self, broken: str | None) -> None:
         if broken is None:

@@ -91,6 +91,14 @@ def test_a_random_hunger_is_held_for_an_episode_in_each_environment():
     assert len(set(courses[:, 1])) == 1
 
 
+def test_a_random_hunger_is_sampled_where_an_episode_begins():
+    torch.manual_seed(0)
+    random = RandomHunger(num_envs=2, hungers=tuple(np.linspace(0, 1, 1_000)))
+    before = random.hunger(0, np.zeros((2, 3)), {}).copy()
+    random.begin(1)
+    assert (random.hunger(0, np.zeros((2, 3)), {}) == before).tolist() == [True, False]
+
+
 def test_an_empty_battery_makes_hungry_in_training_and_evaluation():
     charge = np.array([1.0, 0.75, 0.5, 0.0])
     observation, info = np.stack((np.full(4, 5.0), charge), axis=1), {"charge": charge}

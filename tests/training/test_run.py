@@ -10,6 +10,9 @@ import torch
 from deep_curiosity.replay import ReplayBuffer
 from deep_curiosity.training import Config, train
 from deep_curiosity.training.environments import make_environment
+from deep_curiosity.training.exploration import OrnsteinUhlenbeckNoise
+from deep_curiosity.training.greedy import GreedyStretches
+from deep_curiosity.training.hunger import RandomHunger
 from deep_curiosity.training.log import Log, read_config, read_progress
 from deep_curiosity.training.run import (
     make_collector,
@@ -102,6 +105,34 @@ def test_intervals_are_reached_once_for_every_multiple(tiny, num_envs):
                 reached.append(step)
     assert len(reached) == 3
     assert [step // 20 for step in reached] == [1, 2, 3]
+
+
+@pytest.mark.parametrize("num_envs", [1, 3])
+@pytest.mark.parametrize("settings", [{"hunger": "random", "exploration": "ou"}, {}])
+def test_in_the_next_episode_all_is_chosen_afresh_as_after_an_end(
+    tiny, monkeypatch, num_envs, settings
+):
+    config = tiny.override(num_envs=num_envs, total_steps=63, **settings)
+    train(config, show_progress=False)
+    begun = []
+    for kind in (RandomHunger, OrnsteinUhlenbeckNoise):
+        monkeypatch.setattr(kind, "begin", lambda self, index: begun.append((type(self), index)))
+    record = GreedyStretches.record
+
+    def recorded(self, ended, share):
+        assert share == (0.0 if settings else 0.25)
+        begun.append((type(self), ended.all()))
+        return record(self, ended, share)
+
+    monkeypatch.setattr(GreedyStretches, "record", recorded)
+    with open_run(config, resume=True, quiet=True):
+        assert not begun
+    with open_run(config, resume=True, new_episode=True, quiet=True):
+        pass
+    kinds = (RandomHunger, OrnsteinUhlenbeckNoise) if settings else ()
+    expected = {(kind, index) for kind in kinds for index in range(num_envs)}
+    assert set(begun) == expected | {(GreedyStretches, True)}
+    assert len(begun) == len(expected) + 1
 
 
 def test_a_collector_has_as_many_environments_as_are_set(tiny):
