@@ -14,6 +14,7 @@ from deep_curiosity.requirements import require
 from deep_curiosity.transitions import Sequences, Transition, check_counts, check_single_steps
 
 if TYPE_CHECKING:
+    from tensordict import TensorDictBase
     from torchrl.data import ReplayBuffer as TorchRLReplayBuffer
 
 Vector = np.ndarray | Sequence[float] | float
@@ -226,9 +227,15 @@ class ReplayBuffer:
         step = torch.arange(num_steps, device=start.device).unsqueeze(-1)
         age = start + self.num_envs * step  # from the oldest
         known = age < size
-        slot = self._num_added - size + age.clamp(max=size - 1)
+        newest = start + (size - 1 - start) // self.num_envs * self.num_envs  # of its environment
+        slot = self._num_added - size + torch.minimum(age, newest)
         slot = (slot % self.capacity).flatten()
         rows = self._rows.index_select(0, slot)
+        # behind the newest of an environment is what it led to
+        observation, _, _, next_observation, *_ = rows.split(self._widths, dim=-1)
+        there = known[1:].flatten().unsqueeze(-1)
+        behind = torch.where(there, observation[batch_size:], next_observation[:-batch_size])
+        observation[batch_size:] = behind
         ended = (rows[:, -2:] > 0).any(-1).unflatten(0, (num_steps, batch_size))
         goes_on = ~ended[:-1] & known[1:]
         alive = torch.cat([torch.ones_like(ended[:1]), goes_on]).cumprod(0).bool()
@@ -460,10 +467,12 @@ class ReplayBuffer:
             seed: Seed of the generator that samples batches.
 
         Raises:
-            ValueError: If an entry has the wrong shape or holds NaN or infinity, or the next
-                observations are those of several steps later.
+            TypeError: If it holds something else than tensordicts.
+            ValueError: If it is empty, an entry has the wrong shape or holds NaN or infinity, or
+                the next observations are those of several steps later, or a storage of several
+                dimensions holds padding. A storage of one dimension may: padding is left out.
         """
-        held = _oldest_first(buffer)
+        held = _without_padding(oldest_first(buffer))
         next_step = held["next"]
         vectors = held["observation"], held["action"], next_step["observation"]
         names = ("reward", "terminated", "truncated")
@@ -585,11 +594,71 @@ def _check_seed(seed: Any) -> None:
         raise ValueError(f"`seed` must lie in [-2**63, 2**64), got {seed}.")
 
 
-def _oldest_first(buffer: "TorchRLReplayBuffer") -> Any:
-    """Contents of a torchrl buffer in the order of writing, also where it has gone round."""
-    held = buffer.storage[:]  # `buffer[:]` would pass through its transforms
+def oldest_first(buffer: "TorchRLReplayBuffer") -> "TensorDictBase":
+    """Contents of a torchrl buffer in the order of writing, also where it has gone round.
+
+    Raises:
+        TypeError: If it holds something else than tensordicts.
+        ValueError: If it is empty, or holds outcomes of several steps, or rows that are no single
+            transitions.
+    """
+    if len(buffer) == 0:
+        raise ValueError("`buffer` must hold a transition, got an empty one.")
+    held = _as_tensordict(buffer.storage[:])  # `buffer[:]` would pass through its transforms
     check_single_steps(held.get("steps_to_next_obs", None))
     if len(held) < buffer.storage.shape[0]:
         return held
     next_slot = buffer.writer._cursor % len(held)
-    return torch.cat([held[next_slot:], held[:next_slot]])
+    return torch.cat([held[next_slot:], held[:next_slot]])  # type: ignore[return-value]
+
+
+def real_rows(tensordict: "TensorDictBase", leading: torch.Size) -> Bool[Tensor, " rows"] | None:
+    """Which rows are steps, and not the padding that brings trajectories to one length.
+
+    Args:
+        tensordict: Says so under `"mask"` or `("collector", "mask")`, where torchrl writes it.
+        leading: All dimensions of its observations but the last; these make the rows.
+
+    Returns:
+        A flag for each row, or `None` where there is no padding.
+    """
+    shape = tensordict.batch_size
+    masks = [tensordict.get(key, None) for key in ("mask", ("collector", "mask"))]
+    real = [
+        mask.reshape(shape)
+        for mask in masks
+        if isinstance(mask, Tensor) and mask.dtype == torch.bool
+        if mask.numel() == shape.numel()  # others are about something else, such as actions
+    ]
+    if not real or (both := real[0] & real[-1]).all():
+        return None
+    return both.reshape(*shape, *[1] * (len(leading) - len(shape))).expand(leading).flatten()
+
+
+def _without_padding(held: "TensorDictBase") -> "TensorDictBase":
+    """The steps among what a storage holds."""
+    rows = real_rows(held, held.batch_size)
+    if rows is None:
+        return held
+    if held.ndim > 1:
+        raise ValueError(
+            "`buffer` must hold no padding where its storage has several dimensions, "
+            f"got {int((~rows).sum())} padding steps of {len(rows)}."
+        )
+    return held[rows]
+
+
+def _as_tensordict(held: Any) -> "TensorDictBase":
+    """What a storage holds as one tensordict, also where it keeps a list of rows."""
+    from tensordict import TensorDictBase, lazy_stack
+
+    rows = held if isinstance(held, list) else [held]
+    for row in rows:
+        if not isinstance(row, TensorDictBase):
+            raise TypeError(f"`buffer` must hold tensordicts, got {type(row).__name__}.")
+        if held is rows and row.batch_size:
+            raise ValueError(
+                "`buffer` must hold single transitions where its storage is a list, "
+                f"got a row of shape {tuple(row.batch_size)}."
+            )
+    return lazy_stack(rows) if held is rows else held

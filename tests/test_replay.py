@@ -619,3 +619,20 @@ def test_rows_are_of_single_precision_whatever_the_default():
     assert replay.bonus.dtype == torch.float32
     assert equal(replay.all(), filled(3).all())
     assert replay.sample(2).observation.dtype == torch.float32
+
+
+@pytest.mark.parametrize("num_envs", [1, 2])
+def test_behind_the_newest_step_is_what_it_led_to(num_envs):
+    replay = ReplayBuffer(100, 1, 1, num_envs=num_envs)
+    for step in range(5):
+        observation = 100.0 * np.arange(num_envs)[:, None] + step
+        ended = np.full(num_envs, step == 4)
+        zeros = np.zeros(num_envs)
+        replay.extend(observation, zeros[:, None], zeros, observation + 1, ended, ended & False)
+    rows, alive, _ = replay.sample_rows(256, 4)
+    sequences = replay.sequences(rows, alive)
+    begun = sequences.steps.observation[:256, 0]
+    for num_steps in (1, 3):
+        reached = sequences.continuation(num_steps)[:, 0]
+        expected = begun // 100 * 100 + torch.clamp(begun % 100 + num_steps, max=5)
+        assert reached.equal(expected)

@@ -29,6 +29,7 @@ from deep_curiosity.transitions import (
     every_second,
 )
 
+LEAST_COMPONENTS = 16  # of the marginal, below which what was measured before tells nothing
 NUM_PROBES = 64  # pairs kept from the last refresh, on which the metrics are computed
 NUM_SAMPLES = 16  # from each member's prediction when the bonus is taken apart
 NUM_INFORMATION_SAMPLES = 2  # from each of the marginal's components, which are many
@@ -268,6 +269,8 @@ class CuriosityBonus(Bonus):
             scored, late = every_second(transition, 1), every_second(fresh, 1)
             self._remember(every_second(fresh, 0))
         self._refresh()
+        if self.num_visited < LEAST_COMPONENTS:  # beside so few everything is far
+            self.standardization.forget()
         if len(scored.action):  # none of a first batch of one: the next is then due at once
             self.every.count()
             prediction = self._ask(scored.observation, scored.action)

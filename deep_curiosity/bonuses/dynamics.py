@@ -42,7 +42,8 @@ class DynamicsEnsemble(nn.Module):
         num_members: Number of models, at least 2: one alone cannot disagree.
         members: `"all"` trains every member on the batch by a bootstrap, and predicts by every
             member; `"round_robin"` gives each row to one member, `r % num_members`: an
-            unbiased estimate for as many times less as there are members.
+            unbiased estimate for as many times less as there are members. A batch of fewer rows
+            than members trains them all.
         mixture_components: Gaussians that make up each prediction.
         noise_floor: Standard deviation added to every prediction, in whitened units.
         whitening: Unit of observations and changes: `"moments"` is their mean and standard
@@ -170,7 +171,8 @@ class DynamicsEnsemble(nn.Module):
         observation, action, _, next_observation, *_ = transition
         held_out = is_held_out(torch.cat([observation, action, next_observation], -1))
         num_trained = (~held_out).sum().clamp(min=1)
-        if self.members == "round_robin":
+        # of fewer rows than models, some would never have any
+        if self.members == "round_robin" and len(observation) >= self.num_members:
             row, once = assign_rows(observation.shape[0], self.num_members, observation.device)
             observation, action = observation[row], action[row]
             next_observation, held_out = next_observation[row], held_out[row]

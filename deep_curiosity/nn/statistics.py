@@ -17,15 +17,22 @@ NORMAL_RANGE = 1.349  # interquartile range of a standard Gaussian
 FAR = 3.0  # scales beyond which a value is as good as at this distance, to a saturating scale
 REST = 1e-3  # of the distance of a far row, within which a feature rests
 FEW_ROWS = 0.01  # beyond that far row
-MOST_ROWS = 0.5  # share at which a feature counts as one that rests
+MOST_ROWS = 0.5  # share from which a feature counts as one that rests, in part
+ALL_ROWS = 0.75  # in full: a feature of two values must not change its unit from row to row
+TIED_ROWS = 0.2  # share of rows at one value from which this is kept as a median
+NEAR_HALF = 0.6  # as long as no more than this share lies on one side of it
 NORMAL_SHARE = 0.99501  # mean of min(z^2, FAR^2) of a standard Gaussian
 SCALE_STEPS = 12  # of the fixed-point iteration for that scale, from above
 MORE_SCALE_STEPS, FALLING = 24, 0.9  # where it still falls, as with an absurd row among few
 WHITENED_BOUND = 10.0  # a feature that starts to move late would drown all others
 STATISTICS_MEMORY = 1_280.0  # rows; a bonus drifts as its model learns, so old ones fade
+STATISTICS_BATCHES = 20.0  # after which old ones fade where these are small: it is time that fades
+LEAST_MEMORY = 40.0  # rows, however small batches are: fewer tell of no standard deviation
 STATISTICS_REACH = 10.0  # scales within which a row counts as it is: one alone must not rule them
 INPUT_MEMORY = 51_200.0  # rows after which old ones fade; replay widens as it fills
 INPUT_SIZES = 0.1, 10.0  # root mean squares that a network is shown as they are
+INPUT_FLOOR = 1e-16  # mean square of what is noise of arithmetic, and stays as it is
+FEW_TO_COMPARE = 4  # rows of a batch below which it does not tell what rests
 BONUS_BOUND = 5.0  # standard deviations at which a bonus is cut, so that no tail rules
 HASH_OFFSET = 0x9E3779B9  # so that zeros count; the golden ratio's digits
 HASH_FACTOR = 0x5851F42D4C957F2D  # odd, of Knuth's generator MMIX
@@ -68,32 +75,44 @@ class RunningMoments(nn.Module):
             average. Infinity weighs all rows alike.
         reach: Scales from the centre at which a value is counted that lies beyond, once there is
             a scale: one absurd row cannot widen it for all others, and what has moved for good
-            is followed. Infinity counts all rows as they are.
+            is followed. Where a feature rests in most rows, its scale is that of the others.
+            Infinity counts all rows as they are.
+        batches: Batches after which old rows fade, where this is sooner and batches are small.
     """
 
     mean: Tensor
     var: Tensor
     count: Tensor
+    moving: Tensor
+    """Share of rows in which each feature does not rest; one where it rests in less than half."""
     center: Tensor
     """Middle of each feature."""
     scale: Tensor
     """Standard deviation of each feature, never zero; one while a single row is known."""
 
     def __init__(
-        self, dim: int, *, memory: float = float("inf"), reach: float = float("inf")
+        self,
+        dim: int,
+        *,
+        memory: float = float("inf"),
+        reach: float = float("inf"),
+        batches: float = float("inf"),
     ) -> None:
         super().__init__()
         check_counts(dim=dim)
-        for name, number in (("memory", memory), ("reach", reach)):
+        for name, number in (("memory", memory), ("reach", reach), ("batches", batches)):
             if not (is_number(number) or number == math.inf) or number <= 0:
                 raise ValueError(f"`{name}` must be positive, got {number!r}.")
         self.memory = memory
         self.reach = reach
+        self.batches = batches
         self.register_buffer("mean", torch.zeros(dim))
         self.register_buffer("var", torch.ones(dim))
         self.register_buffer("count", torch.zeros(()))
+        self.register_buffer("moving", torch.ones(dim))
         self.register_buffer("center", torch.zeros(dim), persistent=False)
         self.register_buffer("scale", torch.ones(dim), persistent=False)
+        self.register_load_state_dict_pre_hook(_add_moving)
         self.register_load_state_dict_post_hook(_restore_units)
 
     @torch.no_grad()
@@ -106,9 +125,10 @@ class RunningMoments(nn.Module):
         """Centre, scale, and cut at 10 of its scales."""
         return ((value - self.center) / self.scale).clamp(-WHITENED_BOUND, WHITENED_BOUND)
 
-    def cuts(self, value: Float[Tensor, "batch dim"]) -> Bool[Tensor, " batch"]:
-        """Rows with an entry so far from the usual that `normalize` cuts it."""
-        return (self.normalize(value).abs() >= WHITENED_BOUND).any(-1)
+    def is_far(self, value: Float[Tensor, "batch dim"]) -> Bool[Tensor, " batch"]:
+        """Rows with an entry further from the usual than 10 of its scales where it moves."""
+        distance = ((value - self.center) / self.scale).abs()
+        return (distance >= WHITENED_BOUND * self.moving.rsqrt()).any(-1)
 
     def denormalize(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch dim"]:
         """What `normalize` makes this value of, where it cuts nothing."""
@@ -123,12 +143,18 @@ class RunningMoments(nn.Module):
         if self.reach < math.inf:
             # what has never moved has no size yet by which to call a row absurd
             is_new = (self.count < 2) | self.rests
-            bound = torch.where(is_new, torch.inf, self.reach * self.scale)
+            bound = self.reach * self.scale * self.moving.rsqrt()
+            bound = torch.where(is_new, torch.inf, bound)
             value = value.clamp(self.center - bound, self.center + bound)
+        num_rows = value.shape[0]
         batch_mean = value.mean(0)
         batch_var = value.var(0, correction=0)
-        self.count.add_(value.shape[0]).clamp_(max=max(self.memory, value.shape[0]))
-        share = value.shape[0] / self.count
+        memory = min(self.memory, max(self.batches * num_rows, LEAST_MEMORY))
+        self.count.add_(num_rows).clamp_(max=max(memory, num_rows))
+        share = num_rows / self.count
+        if self.reach < math.inf and num_rows >= FEW_TO_COMPARE:
+            resting = value.mT.contiguous().median(-1).values
+            self.moving.lerp_(_moving_share((value != resting).to(value)), share)
         difference = batch_mean - self.mean
         self.var.lerp_(batch_var, share).add_(difference.square() * share * (1 - share))
         self.mean.lerp_(batch_mean, share)
@@ -220,13 +246,19 @@ class SaturatingMoments(RobustMoments):
         return self.center + self.scale * torch.sinh(bounded)
 
     def _measure(self, sample: Float[Tensor, "rows dim"]) -> None:
-        self.median.copy_(sample.mT.contiguous().median(-1).values)
+        median = sample.mT.contiguous().median(-1).values
+        below, above = ((sample - self.median).sign() == side for side in (-1, 1))
+        below, above = below.float().mean(0), above.float().mean(0)
+        # of two values, each in half of the rows, the median would be now the one, now the other
+        is_median = (1 - below - above >= TIED_ROWS) & (torch.maximum(below, above) <= NEAR_HALF)
+        self.median.copy_(torch.where(is_median, self.median, median))
         square = (sample - self.median).square()
         # the farthest hundredth is left out, of which a single absurd row may be
         place = 1 + int((1 - FEW_ROWS) * (len(square) - 1))
         far = square.mT.contiguous().kthvalue(place, -1).values
         rests = square <= REST**2 * far
-        counted = (~rests | (rests.float().mean(0) < MOST_ROWS)).to(square)
+        resting = (ALL_ROWS - rests.float().mean(0)) / (ALL_ROWS - MOST_ROWS)
+        counted = torch.where(rests, resting.clamp(0, 1), 1.0)
         counted = counted / counted.sum(0).clamp(min=1)
         var = (counted * square).sum(0)
         for _ in range(SCALE_STEPS):
@@ -243,9 +275,10 @@ class SaturatingMoments(RobustMoments):
 class InputScaling(nn.Module):
     """Brings each feature to a root mean square between 0.1 and 10.
 
-    A feature within these keeps its unit exactly. None is shifted: a mean that follows what is
-    learned from would move all that a network has learned, most where nearly equal states must be
-    told apart, such as those of a pole that is held upright.
+    It is that of the other rows where a feature is zero in most, such as a flag that is seldom
+    set. A feature within these keeps its unit exactly. None is shifted: a mean that follows what
+    is learned from would move all that a network has learned, most where nearly equal states must
+    be told apart, such as those of a pole that is held upright.
 
     Args:
         dim: Number of features.
@@ -253,42 +286,47 @@ class InputScaling(nn.Module):
 
     square: Tensor
     count: Tensor
+    moving: Tensor
+    """Share of rows in which each feature is not zero; one where it is zero in less than half."""
     gain: Tensor
-    """Factor of each feature; one until it has been anything but zero."""
+    """Factor of each feature; one until its root mean square is above 1e-8."""
     bound: Tensor
     """Where each feature is cut, once scaled: ten of its sizes if it is widened."""
+    reach: Tensor
+    """Value above which none counts for more: ten sizes of its feature, once there is a size."""
 
     def __init__(self, dim: int) -> None:
         super().__init__()
         check_counts(dim=dim)
         self.register_buffer("square", torch.zeros(dim))
         self.register_buffer("count", torch.zeros(()))
+        self.register_buffer("moving", torch.ones(dim))
         self.register_buffer("gain", torch.ones(dim), persistent=False)
         self.register_buffer("bound", torch.full((dim,), torch.inf), persistent=False)
+        self.register_buffer("reach", torch.full((dim,), LARGEST), persistent=False)
+        self.register_load_state_dict_pre_hook(_add_moving)
         self.register_load_state_dict_post_hook(_restore_units)
 
     @torch.no_grad()
     def update(self, value: Float[Tensor, "batch dim"]) -> None:
         """Let a batch count; no entry of it for more than ten sizes of its feature."""
-        most = torch.where(self._rests, LARGEST, WHITENED_BOUND * self.square.sqrt())
-        square = value.clamp(-most, most).square().mean(0)
+        square = value.clamp(-self.reach, self.reach).square().mean(0)
         self.count.add_(len(value)).clamp_(max=max(INPUT_MEMORY, len(value)))
-        self.square.lerp_(square, len(value) / self.count)
+        share = len(value) / self.count
+        self.square.lerp_(square, share)
+        self.moving.lerp_(_moving_share((value != 0).to(value)), share)
         self._set_units()
 
     def forward(self, value: Float[Tensor, "*batch dim"]) -> Float[Tensor, "*batch dim"]:
         """The features as a network sees them."""
         return (self.gain * value).clamp(-self.bound, self.bound)
 
-    @property
-    def _rests(self) -> Bool[Tensor, " dim"]:
-        """Features that have no size yet."""
-        return self.square <= VARIANCE_FLOOR
-
     def _set_units(self) -> None:
-        """Work out gain and bound once, for all uses up to the next update."""
+        """Work out gain, bound and reach once, for all uses up to the next update."""
         least, most = INPUT_SIZES
-        size = torch.where(self._rests, least, self.square.sqrt())
+        rests = self.square <= INPUT_FLOOR
+        size = torch.where(rests, least, (self.square / self.moving).sqrt())
+        self.reach.copy_(torch.where(rests, LARGEST, WHITENED_BOUND * size))
         self.gain.copy_(size.clamp(least, most) / size)
         self.bound.copy_(torch.where(self.gain > 1, WHITENED_BOUND * least, torch.inf))
 
@@ -323,7 +361,12 @@ class Standardization(nn.Module):
         self.weight = weight
         self.center = center
         self.scale = scale
-        self.moments = RunningMoments(1, memory=STATISTICS_MEMORY, reach=STATISTICS_REACH)
+        self.moments = RunningMoments(
+            1,
+            memory=STATISTICS_MEMORY,
+            reach=STATISTICS_REACH,
+            batches=STATISTICS_BATCHES,
+        )
 
     def forward(self, value: Float[Tensor, " batch"]) -> Float[Tensor, " batch"]:
         """Standardised value; changes no statistics."""
@@ -344,6 +387,10 @@ class Standardization(nn.Module):
         """Update the statistics from a batch."""
         self.moments.update(value.unsqueeze(-1))
 
+    def forget(self) -> None:
+        """Let the next batch count as the first."""
+        self.moments.count.zero_()
+
 
 def replaced_by_mean(
     value: Float[Tensor, " batch"], is_absurd: Bool[Tensor, " batch"]
@@ -359,6 +406,19 @@ def scrambled(number: Int[Tensor, "*batch"]) -> Int[Tensor, "*batch"]:
     for _ in range(2):  # round numbers have empty low bits: bring the high ones down
         number = (number ^ (number >> 29)) * HASH_FACTOR
     return number
+
+
+def _moving_share(moves: Float[Tensor, "batch dim"]) -> Float[Tensor, " dim"]:
+    """Share of the rows in which each feature moves, or one where that is more than half."""
+    share = moves.mean(0)
+    return torch.where(share > MOST_ROWS, 1.0, share)
+
+
+def _add_moving(
+    statistics: RunningMoments | InputScaling, state: dict[str, Tensor], prefix: str, *_: object
+) -> None:
+    """Take states of before there was `moving`, by which every feature moves in all rows."""
+    state.setdefault(f"{prefix}moving", torch.ones_like(statistics.moving))
 
 
 def _restore_units(statistics: RunningMoments | InputScaling, _: object) -> None:

@@ -908,3 +908,21 @@ def test_features_that_are_refused_change_nothing(watchful, visited):
     with pytest.raises(ValueError, match=r"`features` must be finite, got .* in row 3"):
         bonus.observe(good, visited=bad) if visited else bonus.observe(bad)
     assert_unchanged(bonus, before)
+
+
+@pytest.mark.parametrize("batch_size", [2, 5])
+def test_small_batches_are_paid_a_bonus_of_about_its_weight(batch_size):
+    torch.manual_seed(0)
+    states = [torch.zeros(3)]
+    for _ in range(1_000):
+        states.append(torch.tanh(0.9 * states[-1] + 0.3 * torch.randn(3)))
+    state, flag = torch.stack(states), torch.zeros(1_000, dtype=torch.bool)
+    action = torch.rand(1_000, 1) * 2 - 1
+    data = Transition(state[:-1], action, flag.float(), state[1:], flag, flag)
+    bonus = CuriosityBonus.default(3, 1, hidden_dims=(16,), bonus_weight=1.0)
+    for _ in range(600):
+        row = torch.randint(1_000, (batch_size,))
+        bonus.observe(Transition(*(field[row] for field in data)))
+    value = bonus(data.observation, data.action)
+    assert abs(value.mean()) < 0.5
+    assert 0.6 < value.std() < 1.6

@@ -398,6 +398,16 @@ def test_in_round_robin_each_member_learns_from_its_own_rows(monkeypatch):
     assert differs.tolist() == [False, True, False]
 
 
+@pytest.mark.parametrize("batch_size", [1, 2, 3])
+def test_in_round_robin_small_batches_train_every_member(batch_size):
+    ensemble = small_ensemble(members="round_robin")
+    trained = torch.zeros(3, dtype=torch.bool)
+    for seed in range(20):  # a bootstrap may leave a member out
+        batch = random_transition(batch_size)
+        trained |= (gradients(ensemble, batch, seed) != 0).any(1)
+    assert trained.all()
+
+
 def test_in_round_robin_the_loss_is_right_on_average(monkeypatch):
     monkeypatch.setattr(dynamics, "is_held_out", lambda rows: torch.zeros(len(rows)) > 0)
     ensemble, batch = small_ensemble(members="round_robin"), random_transition(300)

@@ -388,8 +388,13 @@ def test_what_begins_to_move_late_drowns_no_other_feature():
     for _ in range(300):
         scaling.update(still)
     assert scaling(torch.tensor([2.0, 5.0])).tolist() == [2.0, 5.0]
-    still[0, 1] = 5.0  # so its root mean square becomes 0.02, and its gain 5
+    still[0, 1] = 5.0
     scaling.update(still)
+    assert scaling(torch.tensor([2.0, 5.0])).tolist() == [2.0, 5.0]  # its size where it moves
+    still[0, 1] = 0.01
+    for _ in range(2_000):
+        scaling.update(still)
+    assert scaling.gain[1] > 1
     assert scaling(torch.tensor([2.0, 5.0])).tolist() == [2.0, 1.0]  # ten sizes of 0.1
     moving = torch.randn(256, 2)
     for _ in range(600):
@@ -426,3 +431,70 @@ def test_a_scaling_follows_from_a_restored_state():
     scaling.update(torch.randn(9, 2) * torch.tensor([0.01, 50.0]))
     other.load_state_dict(scaling.state_dict())
     assert other.gain.equal(scaling.gain) and other.bound.equal(scaling.bound)
+
+
+def rare_flags(share, num_rows=256, values=(1.0, 3.0, 5.0)):
+    """Zero but for a share of the rows, which have one of some values."""
+    chosen = torch.tensor(values)[torch.randint(len(values), (num_rows, 1))]
+    return chosen * (torch.rand(num_rows, 1) < share)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.02, 0.005, 0.0005])
+def test_a_flag_that_is_seldom_set_is_seen_as_it_is(share):
+    torch.manual_seed(0)
+    scaling = InputScaling(1)
+    for _ in range(3_000):
+        scaling.update(rare_flags(share))
+    value = torch.tensor([[0.0], [1.0], [3.0], [5.0]])
+    assert scaling(value).equal(value)
+
+
+def test_small_units_are_widened_and_noise_of_arithmetic_is_not():
+    torch.manual_seed(0)
+    scaling = InputScaling(3)
+    units = torch.tensor([5e-5, 1e-6, 1e-12])
+    for _ in range(50):
+        scaling.update(torch.randn(256, 3) * units)
+    size = scaling(torch.randn(4_096, 3) * units).square().mean(0).sqrt()
+    torch.testing.assert_close(size, torch.tensor([0.1, 0.1, 1e-12]), rtol=0.05, atol=0)
+
+
+@pytest.mark.parametrize("off", [0.0, -1.0, 0.5])
+def test_a_flag_that_is_seldom_set_keeps_its_deviation(off):
+    torch.manual_seed(0)
+    moments = RunningMoments(1, reach=10.0)
+    for _ in range(2_000):
+        moments.update(off + (torch.rand(256, 1) < 0.0025).float())
+    assert moments.scale.item() == pytest.approx(0.05, rel=0.1)
+    assert not moments.is_far(torch.tensor([[off + 1.0]]))
+    assert moments.is_far(torch.tensor([[off + 1e3]]))
+
+
+def test_of_small_batches_old_ones_fade_as_soon_as_of_large_ones():
+    for num_rows in (1, 2, 5, 64, 256):
+        moments = RunningMoments(1, memory=1_280.0, batches=20.0)
+        for _ in range(100):
+            moments.update(torch.zeros(num_rows, 1))
+        for _ in range(60):
+            moments.update(torch.ones(num_rows, 1))
+        assert moments.mean > 0.75, num_rows
+
+
+def test_a_feature_of_two_values_has_the_same_unit_from_batch_to_batch():
+    torch.manual_seed(0)
+    moments, units = SaturatingMoments(1), []
+    for _ in range(400):
+        moments.update((torch.rand(256, 1) < 0.5).float())
+        units.append((moments.center.item(), moments.scale.item()))
+    centers, scales = map(set, zip(*units[20:], strict=True))
+    assert len(centers) == 1
+    assert max(scales) < 1.1 * min(scales)
+
+
+def test_states_of_before_flags_were_told_apart_are_loaded():
+    for statistics in (RunningMoments(2), InputScaling(2)):
+        statistics.update(torch.randn(16, 2))
+        state = statistics.state_dict()
+        del state["moving"]
+        statistics.load_state_dict(state)
+        assert statistics.moving.tolist() == [1.0, 1.0]

@@ -145,8 +145,8 @@ class BaselineBonus(Bonus):
             self.every.count()
             observation, action, _, next_observation, *_ = scored
             score = self.score(observation, action, next_observation)
-            cuts = self.observation_moments.cuts
-            is_absurd = cuts(observation) | cuts(next_observation)
+            is_far = self.observation_moments.is_far
+            is_absurd = is_far(observation) | is_far(next_observation)
             self.standardization.update(replaced_by_mean(score, is_absurd))
             # only now: what is scored is not remembered yet
             self.update_statistics(late, fresh_action)

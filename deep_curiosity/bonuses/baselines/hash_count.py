@@ -8,6 +8,7 @@ from deep_curiosity.bonuses.baselines.base import BaselineBonus
 from deep_curiosity.transitions import Transition, check_counts
 
 TABLE_SIZES = (131_011, 131_023, 131_041)  # primes: codes that share a slot in one part in others
+LEAST_STD, ROUNDING = 1e-8, 1e-6  # below these, the latter of its mean, an entry counts as resting
 
 
 class HashCountBonus(BaselineBonus):
@@ -94,8 +95,10 @@ class HashCountBonus(BaselineBonus):
     def update_statistics(self, transition: Transition, fresh_action: Tensor | None) -> None:
         """Count the batch's next states; the first batch fixes the code."""
         moments = self.observation_moments
-        # an entry that rests has no unit yet; in the least one there is, it would drown the others
-        scale = torch.where(moments.rests, 1.0, moments.scale)
+        # an entry that rests has no unit yet; in that of its rounding, it would drown the others
+        std = moments.var.sqrt()
+        rests = std <= LEAST_STD + ROUNDING * moments.mean.abs()
+        scale = torch.where(rests, 1.0, torch.where(moments.rests, std, moments.scale))
         self.code_loc.copy_(torch.where(self.is_fixed, self.code_loc, moments.mean))
         self.code_scale.copy_(torch.where(self.is_fixed, self.code_scale, scale))
         self.is_fixed.fill_(True)

@@ -1,6 +1,7 @@
 import pytest
 import torch
 
+from deep_curiosity.bonuses import make_bonus
 from deep_curiosity.bonuses.baselines.base import BaselineBonus
 from deep_curiosity.transitions import Transition
 
@@ -123,3 +124,28 @@ def test_without_networks_the_loss_is_zero_and_the_batch_is_checked():
 def test_what_is_out_of_range_is_rejected_by_name_and_value(options, message):
     with pytest.raises(ValueError, match=message):
         FirstEntryBonus(**options)
+
+
+@pytest.mark.parametrize("kind", ["hash-count", "nearest-neighbours"])
+@pytest.mark.parametrize("states", ["one-hot", "flags", "tiny"])
+def test_states_of_entries_that_are_seldom_set_are_paid_a_centred_bonus(kind, states):
+    torch.manual_seed(1)
+    num_rows = 4_001
+    chances = torch.tensor([0.75 / 50] * 50 + [0.25 / 100] * 100)
+    observation = {
+        "one-hot": torch.eye(150)[torch.multinomial(chances, num_rows, replacement=True)],
+        "flags": torch.cat(
+            [torch.randn(num_rows, 2), (torch.rand(num_rows, 20) < 0.005).float()], 1
+        ),
+        "tiny": 1e-6 * torch.randn(num_rows, 4),
+    }[states]
+    flag = torch.zeros(num_rows - 1, dtype=torch.bool)
+    action = torch.rand(num_rows - 1, 1) * 2 - 1
+    data = Transition(observation[:-1], action, flag.float(), observation[1:], flag, flag)
+    bonus = make_bonus(kind, observation.shape[1], 1, bonus_weight=1.0)
+    for _ in range(1_200):
+        row = torch.randint(num_rows - 1, (256,))
+        bonus.observe(Transition(*(field[row] for field in data)))
+    value = bonus(data.observation, data.action, data.next_observation)
+    assert abs(value.mean()) < 0.15
+    assert 0.8 < value.std() < 1.25
