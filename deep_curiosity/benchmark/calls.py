@@ -148,10 +148,10 @@ def describe_calls(recorder: CallRecorder) -> str:
 
 
 def describe_hops(hops: list[Function]) -> str:
-    """Number of hops and files, and below them every hop."""
+    """Number of hops and files, and below them where each leads; the first line is the start."""
     num_files = len({hop.file for hop in hops})
-    lines = [f"{len(hops)} hops, {num_files} files"]
-    lines += [f"{number:5d} {hop.file}: {hop.name}" for number, hop in enumerate(hops, 1)]
+    lines = [f"{len(hops) - 1} hops, {num_files} files"]
+    lines += [f"{number:5d} {hop.file}: {hop.name}" for number, hop in enumerate(hops)]
     return "\n".join(lines)
 
 

@@ -157,7 +157,7 @@ def summarize(study: Study, rows: Sequence[Row]) -> str:
     never = {
         column
         for column in study.columns
-        if column.endswith("step") and any(is_missing(row[column]) for row in rows)
+        if column.endswith("step") and any(_is_never(row, column) for row in rows)
     }
     titles = [
         f"{column.replace('_', ' ')}{', median and range' if column in never else ''}"
@@ -173,12 +173,24 @@ def summarize(study: Study, rows: Sequence[Row]) -> str:
                 continue
             counted = "-" if "" in solved else f"{sum(solved)} of {len(solved)}"
             cells = [
-                median_and_range(values) if column in never else _estimate(values)
+                median_and_range(values) if column in never and values else _estimate(values)
                 for column in study.columns
-                for values in [select(rows, column, **where)]
+                for values in [_values(rows, column, where)]
             ]
             lines.append([task.name, str(agent), counted, *cells])
     return "\n".join([markdown_table(header, lines) + "\n", *_rank_correlations(study, rows)])
+
+
+def _values(rows: Sequence[Row], column: str, where: Mapping[str, Any]) -> list[Any]:
+    """Values of a column; no steps of solving where no return counts as solved."""
+    if column == "solved_step" and "" in select(rows, "solved", **where):
+        return []
+    return select(rows, column, **where)
+
+
+def _is_never(row: Row, column: str) -> bool:
+    """Whether a run has not reached what a column has the step of."""
+    return is_missing(row[column]) and not (column == "solved_step" and row["solved"] == "")
 
 
 def is_missing(value: float | str | None) -> bool:

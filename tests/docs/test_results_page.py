@@ -17,7 +17,7 @@ from deep_curiosity.experiments.tables import markdown_table
 from tests.docs.pages import ROOT, text_of
 
 FOLDER = ROOT / "docs/results"
-NAMES = ("results", "steady_share", "raw_observations", "uniform_prior")
+NAMES = ("results", "results_dense", "steady_share", "raw_observations", "uniform_prior")
 TABLES = {name: read_rows(FOLDER / f"{name}.csv") for name in NAMES}
 HELD_OUT = [task.name for task in STUDIES["results"].joint.tasks]
 
@@ -119,6 +119,22 @@ def test_what_is_said_of_single_tasks_is_what_was_measured():
         f"its second line asks for at least 80 %: it has {' and '.join(tasks_that_are_missed())}."
     )
     assert said in text_of("docs/results/README.md")
+
+
+def test_what_is_said_of_dense_reward_is_what_was_measured():
+    rows = read_rows(FOLDER / "results_dense.csv")
+    area = {
+        key: float(interquartile_mean(np.array([row["area"] for row in own])))
+        for key, own in grouped(rows, "task", "agent").items()
+    }
+    shares = [
+        f"{area[task, 'curiosity'] / area[task, 'plain SAC']:.0%} on {task}".replace("%", " %")
+        for task in ("HalfCheetah-v5", "Hopper-v5")
+    ]
+    assert f"agent's area: it has {' and '.join(shares)}, on three" in text_of(
+        "docs/results/README.md"
+    )
+    assert {row["seed"] for row in rows} == {0, 1, 2}
 
 
 def test_what_is_said_of_earlier_defaults_is_what_was_measured():

@@ -63,7 +63,7 @@ def test_steps_that_some_run_never_reached_are_medians_for_every_agent():
     study = replace(NAMED, columns=("solved_step",))
     steps = {"a": [100.0, 200.0, 600.0], "b": [100.0, None, 300.0]}
     rows = [
-        {"task": "maze", "agent": agent, "seed": seed, "solved": "", "solved_step": step}
+        {"task": "maze", "agent": agent, "seed": seed, "solved": 1, "solved_step": step}
         for agent, own in steps.items()
         for seed, step in enumerate(own)
     ]
@@ -213,3 +213,15 @@ def test_an_agent_is_called_better_where_more_is_better(column, words):
         {"task": "maze", "agent": agent, "seed": 0, "solved": "", column: 1.0} for agent in "ab"
     ]
     assert f"| {words} |" in summary_of(study, rows)
+
+
+def test_where_no_return_counts_as_solved_nothing_is_never_solved():
+    study = replace(NAMED, columns=("evaluation_return", "solved_step"))
+    rows = [
+        {"task": "maze", "agent": agent, "seed": 0, "solved": "", "evaluation_return": 1.0}
+        | {"solved_step": None}
+        for agent in "ab"
+    ]
+    header, _, first, *_ = summarize(study, rows).splitlines()
+    assert header == "| task | agent | runs solved | evaluation return | solved step |"
+    assert first == "| maze | a | - | 1 [1, 1] |  |"

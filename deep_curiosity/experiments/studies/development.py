@@ -58,7 +58,7 @@ OTHER_UNITS = [CAR] + [
     for name in ("finger-spin", "point_mass-easy", "cartpole-balance_sparse")
 ]
 
-FIXED = SMALL.override(total_steps=1_600, evaluation_interval=400, replay_capacity=4_000)
+FIXED = SMALL.override(total_steps=2_400, evaluation_interval=1_200, replay_capacity=4_000)
 FIXED_TASKS = [
     Task(env_id, FIXED.override(env_id=env_id))
     for env_id in (
@@ -95,7 +95,11 @@ STUDIES = {
             "nearest-neighbours": {"bonus": "nearest-neighbours"},
             "rnd": {"bonus": "rnd"},
             "disagreement": {"bonus": "disagreement"},
+            "information gain": {"bonus": "information-gain"},
+            "icm": {"bonus": "icm"},
+            "hash-count": {"bonus": "hash-count"},
         },
+        seeds=3,
         first_seed=100,
         label="bonus",
         columns=("bonus_mean", "bonus_std"),
