@@ -24,7 +24,7 @@ Value = TypeVar("Value", Tensor, np.ndarray)
 LOG_STD_RANGE = (-5.0, 2.0)  # below -5 the tanh density is sharper than float32 resolves
 LOG_STD_FLOOR = math.log(0.05)  # of a prior's component, pre-squash: no habit is narrower
 MOST_HABIT = 2.0  # mean of a prior's component, pre-squash: 0.96 of a full action
-FIRST_LOGIT = 2.0  # of a prior's standard deviation, then 0.88, as of a uniform action's
+FIRST_LOGIT = 2.0  # of a prior's standard deviation: then 0.93, near the 0.91 of a uniform action
 UNIFORM_EDGE = 1 - 1e-6  # atanh is infinite at the edge of the action box
 OF_REWARD, OF_OTHERS = slice(0, 2), slice(2, None)  # critics
 NUM_PRIOR_SAMPLES = 256  # for the reported divergence of the prior from uniform
@@ -239,7 +239,7 @@ class LearnedPrior(Prior):
     shrink together to a point. Two floors forbid it: a uniform share and a least component width.
     Nor may they run off together to where `tanh` tells no two actions apart, but pre-actions do:
     the rate would be spent on differences that are none in the world. Means lie within
-    `MOST_HABIT`, standard deviations within 1, and what goes further pays for it.
+    `MOST_HABIT`, standard deviations within 1.05, and what goes further pays for it.
 
     Args:
         action_dim: Length of an action.

@@ -29,7 +29,7 @@ class Bonus(nn.Module, ABC):
     """
 
     scores_outcomes: ClassVar[bool] = False
-    """Whether `next_observation` must be given. Such a bonus has no gradient in the action."""
+    """Whether `next_observation` must be given. An action that was not taken is then not scored."""
 
     @property
     def ready(self) -> bool:

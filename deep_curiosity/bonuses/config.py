@@ -41,7 +41,7 @@ class BonusConfig(Group, ABC):
     kind: ClassVar[str]
     """Name of the bonus, as on the command line."""
     scores_outcomes: ClassVar[bool] = False
-    """Whether the bonus has no gradient in the action."""
+    """Whether the bonus scores what has happened, and so no action that was not taken."""
 
     @abstractmethod
     def make(self, observation_dim: int, action_dim: int, hidden_dims: Sizes) -> Bonus | None:

@@ -87,7 +87,7 @@ class InformationGainBonus(BaselineBonus):
     def score(
         self, observation: Tensor, action: Tensor, next_observation: Tensor | None
     ) -> Tensor:
-        """Information gain of each pair, in nats a dimension."""
+        """Bound of each pair, in nats a dimension: twice the gain where all is Gaussian."""
         variance = self.ensemble.variance(self.pair_features(observation, action))
         return torch.log1p(variance / self.noise_std**2).mean(-1)
 
