@@ -29,7 +29,7 @@ class Bonus(nn.Module, ABC):
     """
 
     scores_outcomes: ClassVar[bool] = False
-    """Whether `next_observation` must be given. An action that was not taken is then not scored."""
+    """Whether `next_observation` must be given, as an action that was not taken has no score."""
 
     @property
     def ready(self) -> bool:
