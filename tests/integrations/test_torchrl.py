@@ -13,7 +13,14 @@ import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
-from torchrl.data import Bounded, Composite, LazyTensorStorage, TensorDictReplayBuffer, Unbounded
+from torchrl.data import (
+    Bounded,
+    Composite,
+    LazyTensorStorage,
+    ListStorage,
+    TensorDictReplayBuffer,
+    Unbounded,
+)
 from torchrl.envs import EnvBase, GymEnv, SerialEnv, TransformedEnv
 from torchrl.envs.utils import check_env_specs
 from torchrl.modules import NormalParamExtractor, ProbabilisticActor, TanhNormal, ValueOperator
@@ -399,6 +406,36 @@ def test_bonus_loss_reads_the_keys_it_is_given():
     assert "push" in loss.in_keys
 
 
+def robot_spec(**entries: Bounded) -> Composite:
+    return Composite(robot=Composite(torque=Bounded(-2, 2, (1,))), **entries)
+
+
+@pytest.mark.parametrize("spec", [robot_spec(), robot_spec(action=Bounded(-9, 9, (1,)))])
+def test_bonus_loss_finds_the_range_of_an_action_whose_key_is_set_later(spec: Composite):
+    batch = make_batch()
+    batch["robot", "torque"] = 2 * batch.pop("action")
+    bonus = LevelBonus()
+    loss = BonusLoss(bonus, action_spec=spec)
+    loss.set_keys(observation="observation")
+    loss.set_keys(action=("robot", "torque"))
+    loss(batch)
+    assert torch.equal(bonus.observed[0].action, batch["robot", "torque"] / 2)
+
+
+def test_bonus_loss_refuses_a_spec_without_the_action():
+    loss = BonusLoss(LevelBonus(), action_spec=robot_spec())
+    message = r"`action_spec` must have an entry .*, got entries \[\('robot', 'torque'\)\]"
+    with pytest.raises(ValueError, match=message):
+        loss(make_batch())
+    with pytest.raises(ValueError, match=message):
+        loss.set_keys(action=("robot", "force"))
+    with pytest.raises(ValueError, match="`action_spec` must be bounded, got"):
+        BonusLoss(LevelBonus(), action_spec=Unbounded((1,)))
+    loss = BonusLoss(LevelBonus(), action_spec=Composite(push=Unbounded((1,))))
+    with pytest.raises(ValueError, match="`action_spec` must be bounded, got"):
+        loss.set_keys(action="push")
+
+
 def test_bonus_loss_runs_in_a_trainer():
     bonus = LevelBonus(0.5)
     loss = BonusLoss(bonus)
@@ -449,6 +486,26 @@ def test_curiosity_critics_learn_the_bonus_under_a_discount_of_their_own():
     assert loss(batch)["loss_curiosity"].item() == pytest.approx(expected, rel=1e-4)
 
 
+def test_curiosity_critics_learn_no_bonus_of_padding():
+    loss = make_loss(CuriousActorCriticLoss, LevelBonus(0.5), loss_function="l2")
+    zero_last_layers(loss.curiosity_network_params, bias=2.0)
+    zero_last_layers(loss.target_curiosity_network_params, bias=3.0)
+    loss.make_value_estimator(gamma=0.0)
+    batch = make_batch()
+    batch["mask"] = torch.arange(BATCH) % 2 == 0
+    expected = (2 - (0.5 + 2.91)) ** 2 + (2 - (0.0 + 2.91)) ** 2  # one half each, of two critics
+    assert loss(batch)["loss_curiosity"].item() == pytest.approx(expected, rel=1e-4)
+
+
+def test_the_actor_seeks_no_bonus_in_padding():
+    loss = make_loss(CuriousActorCriticLoss, LevelBonus(0.5), curiosity_discount=0.0)
+    losses = []
+    for real in (torch.ones(BATCH, dtype=torch.bool), torch.arange(BATCH) % 2 == 0):
+        torch.manual_seed(1)
+        losses.append(loss(make_batch().set("mask", real))["loss_actor"].item())
+    assert losses[1] - losses[0] == pytest.approx(0.25, abs=1e-5)
+
+
 def test_reward_of_the_extrinsic_critics_holds_no_bonus():
     batch = make_batch()
     values = []
@@ -457,6 +514,18 @@ def test_reward_of_the_extrinsic_critics_holds_no_bonus():
         torch.manual_seed(1)
         values.append(loss(batch.clone())["loss_qvalue"])
     assert torch.equal(*values)
+
+
+@pytest.mark.parametrize("curiosity_discount", [0.0, 0.97])
+def test_a_reward_that_holds_the_bonus_already_is_refused(curiosity_discount: float):
+    bonus = LevelBonus()
+    batch = make_replay(CuriosityTransform(bonus, add_to_reward=True), make_batch()).sample()
+    loss = make_loss(CuriousActorCriticLoss, bonus, curiosity_discount=curiosity_discount)
+    with pytest.raises(ValueError, match="`reward` must be that of the environment"):
+        loss(batch)
+    make_loss(CuriousActorCriticLoss)(batch)  # without a bonus of its own
+    batch = make_replay(CuriosityTransform(bonus), make_batch()).sample()
+    loss(batch)
 
 
 def test_each_loss_reaches_only_its_own_parameters():
@@ -706,14 +775,18 @@ def make_curious_env() -> EnvBase:
 # The integration
 
 
-def make_agent(make: Callable[..., SACLoss] = SACLoss, capacity: int = 1_000) -> TorchRLAgent:
+def make_agent(
+    make: Callable[..., SACLoss] = SACLoss,
+    capacity: int = 1_000,
+    storage: type = LazyTensorStorage,
+) -> TorchRLAgent:
     torch.manual_seed(0)
     learner = BonusLearner(small_curiosity())
     actor, critic = make_networks()
     curious = make is CuriousActorCriticLoss
     loss = make(actor, critic, *([learner.bonus] if curious else []))
     transform = CuriosityTransform(learner, add_to_reward=not curious)
-    replay = TensorDictReplayBuffer(storage=LazyTensorStorage(capacity), batch_size=16)
+    replay = TensorDictReplayBuffer(storage=storage(capacity), batch_size=16)
     replay.append_transform(transform)
     optimizer = torch.optim.Adam(loss.parameters(), lr=1e-2)
     target = SoftUpdate(loss, tau=0.1)
@@ -736,8 +809,9 @@ def test_integration_collects_what_it_stores_and_the_same_for_one_seed(make: Cal
         assert torch.equal(part, getattr(second.collect(30, seed=3), name)), name
 
 
-def test_integration_stores_in_the_order_of_collecting_when_the_ring_is_full():
-    integration = TorchRLIntegration(partial(make_agent, capacity=50))
+@pytest.mark.parametrize("storage", [LazyTensorStorage, ListStorage])
+def test_integration_stores_in_the_order_of_collecting_when_the_ring_is_full(storage: type):
+    integration = TorchRLIntegration(partial(make_agent, capacity=50, storage=storage))
     parts = [integration.collect(30, seed=seed) for seed in (0, 1)]
     both = torch.cat([part.observation for part in parts])
     assert torch.equal(integration.stored().observation, both[-50:])
@@ -779,9 +853,8 @@ def test_unbounded_actions_are_refused():
     with pytest.raises(ValueError, match="`action_spec` must be bounded"):
         CuriosityTransform(LevelBonus(), action_spec=Unbounded((1,)))
     elsewhere = Composite(agent=Composite(move=Bounded(-2, 2, (1,))))
-    for make in (CuriosityTransform, BonusLoss):
-        with pytest.raises(ValueError, match=r"an entry 'action', .* \[\('agent', 'move'\)\]"):
-            make(LevelBonus(), action_spec=elsewhere)
+    with pytest.raises(ValueError, match=r"an entry 'action', .* \[\('agent', 'move'\)\]"):
+        CuriosityTransform(LevelBonus(), action_spec=elsewhere)
 
 
 @pytest.mark.parametrize("bonus", [LevelBonus(), "curiosity", 3, nn.Linear(1, 1)])

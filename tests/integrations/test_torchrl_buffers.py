@@ -1,17 +1,21 @@
 """In whatever torchrl buffer, a bonus learns raw single steps, or says what is wrong."""
 
+import warnings
 from collections.abc import Callable
 from functools import partial
 
 import pytest
 import torch
 from tensordict import TensorDict, lazy_stack
+from tensordict.nn import TensorDictModule
+from torch import Tensor
 from torchrl.data import (
     LazyStackStorage,
     LazyTensorStorage,
     ListStorage,
     TensorDictReplayBuffer,
 )
+from torchrl.data import ReplayBuffer as TorchRLReplayBuffer
 from torchrl.data.replay_buffers.samplers import SliceSampler
 from torchrl.envs import ParallelEnv, SerialEnv, Transform, TransformedEnv
 from torchrl.envs.transforms import (
@@ -32,6 +36,10 @@ from deep_curiosity.integrations.torchrl import BonusLoss, CuriosityTransform
 from deep_curiosity.replay import ReplayBuffer
 from deep_curiosity.transitions import Transition
 from tests.integrations.test_torchrl import LevelBonus, StepBonus, make_env
+
+with warnings.catch_warnings():  # at import they warn of classes of their own
+    warnings.simplefilter("ignore", DeprecationWarning)
+    from torchrl.collectors.utils import split_trajectories
 
 NUM_ENVS, NUM_STEPS = 3, 7
 
@@ -170,6 +178,42 @@ def test_what_changes_the_numbers_is_found_within_others() -> None:
     Compose(Compose(own.clone()), RewardScaling(0.0, 2.0, [("next", "reward")]))(steps(5))
 
 
+TWICE = "`reward` must be that of the environment, got one to which a CuriosityTransform has added"
+
+
+@pytest.mark.parametrize("then", [True, False])
+def test_a_bonus_is_added_after_all_others_have_been_computed(then: bool) -> None:
+    def transform(add: bool) -> CuriosityTransform:
+        return CuriosityTransform(LevelBonus(), add_to_reward=add)
+
+    with pytest.raises(ValueError, match=TWICE):
+        Compose(transform(True), Compose(transform(then)))(steps(5))
+    batch = Compose(transform(False), transform(True))(steps(5))
+    torch.testing.assert_close(batch["next", "reward"], steps(5)["next", "reward"] + 0.5)
+
+
+def test_a_batch_to_which_a_bonus_was_added_is_not_taken_for_a_raw_one() -> None:
+    buffer = make_buffer(storage=LazyTensorStorage(100))
+    buffer.append_transform(CuriosityTransform(LevelBonus(), add_to_reward=True))
+    buffer.extend(steps(20))
+    other = make_buffer(storage=LazyTensorStorage(100))
+    other.append_transform(CuriosityTransform(LevelBonus(), add_to_reward=True))
+    other.extend(buffer.sample())
+    with pytest.raises(ValueError, match=TWICE):
+        other.sample()
+
+
+def test_each_of_several_rewards_may_have_a_bonus_of_its_own() -> None:
+    data = steps(5)
+    data["next", "other"] = {"reward": torch.zeros(5, 1)}
+    one = CuriosityTransform(LevelBonus(1.0), add_to_reward=True)
+    options = {"reward_key": ("other", "reward"), "out_key": ("other", "curiosity")}
+    two = CuriosityTransform(LevelBonus(2.0), add_to_reward=True, **options)
+    batch = Compose(one, two)(data)
+    assert torch.equal(batch["next", "reward"], data["next", "reward"] + 1)
+    assert torch.equal(batch["next", "other", "reward"], torch.full((5, 1), 2.0))
+
+
 def curious() -> CuriosityTransform:
     return CuriosityTransform(LevelBonus())
 
@@ -275,8 +319,132 @@ def test_sequences_of_such_a_copy_stay_in_their_environment() -> None:
     assert torch.equal(second[goes_on], first[goes_on] + 10)
 
 
+def test_a_copy_leaves_padding_out_or_refuses_it() -> None:
+    data, real = padded("mask")
+    buffer = make_buffer(storage=LazyTensorStorage(100))
+    buffer.extend(data.reshape(-1))
+    copy = ReplayBuffer.from_torchrl(buffer)
+    assert torch.equal(copy.all().observation, data["observation"][real])
+    buffer = make_buffer()
+    buffer.extend(data)
+    with pytest.raises(ValueError, match=r"`buffer` must hold no padding .* got 8 padding steps"):
+        ReplayBuffer.from_torchrl(buffer)
+
+
+def listed(*rows: object, capacity: int = 10) -> TorchRLReplayBuffer:
+    buffer = TorchRLReplayBuffer(storage=ListStorage(capacity), batch_size=4)
+    for row in rows:
+        buffer.extend([row])
+    return buffer
+
+
+@pytest.mark.parametrize("count", [7, 10, 13])
+def test_a_list_of_rows_is_copied_oldest_first(count: int) -> None:
+    rows = steps(count).unbind(0)
+    for number, row in enumerate(rows):
+        row["ragged"] = torch.zeros(1 + number % 3)
+    copy = ReplayBuffer.from_torchrl(listed(*rows))
+    assert torch.equal(copy.all().observation, steps(count)["observation"][-10:])
+
+
+@pytest.mark.parametrize(
+    ("rows", "kind", "message"),
+    [
+        ((), ValueError, "`buffer` must hold a transition, got an empty one"),
+        ((1, 2), TypeError, "`buffer` must hold tensordicts, got int"),
+        ((steps(3), steps(3)), ValueError, r"`buffer` must hold single .* shape \(3,\)"),
+    ],
+)
+def test_a_list_of_what_are_no_transitions_is_refused(
+    rows: tuple, kind: type[Exception], message: str
+) -> None:
+    with pytest.raises(kind, match=message):
+        ReplayBuffer.from_torchrl(listed(*rows))
+
+
 def test_a_copy_refuses_what_is_not_finite() -> None:
     buffer = filled(100)
     buffer.storage[:]["observation"][1, 1] = torch.nan
     with pytest.raises(ValueError, match="`observation` must be finite, got"):
         ReplayBuffer.from_torchrl(buffer)
+
+
+MASKS = ["mask", ("collector", "mask")]
+
+
+def padded(key: str | tuple[str, ...]) -> tuple[TensorDict, Tensor]:
+    """Trajectories of 5, 2 and no steps, brought to one length, and which steps are real."""
+    data = steps(NUM_ENVS, 5)
+    real = torch.arange(5) < torch.tensor([5, 2, 0]).unsqueeze(1)
+    data[key] = real
+    for name in ("observation", "action"):
+        data[name][~real] = 0.0
+        data["next", "observation"][~real] = 0.0
+    return data, real
+
+
+@pytest.mark.parametrize("key", MASKS)
+@pytest.mark.parametrize("add_to_reward", [True, False])
+def test_padding_is_not_learned_and_has_no_bonus(key: str, add_to_reward: bool) -> None:
+    data, real = padded(key)
+    bonus = LevelBonus()
+    transform = CuriosityTransform(BonusLearner(bonus), add_to_reward=add_to_reward)
+    batch = transform(data)
+    (seen,) = bonus.observed
+    assert torch.equal(seen.observation, data["observation"][real])
+    assert torch.equal(seen.next_observation, seen.observation + 10)
+    paid = batch["next", "curiosity"].squeeze(-1)
+    assert paid.shape == real.shape and (paid[~real] == 0).all() and (paid[real] != 0).all()
+    added = batch["next", "reward"] - data["next", "reward"]
+    torch.testing.assert_close(added, batch["next", "curiosity"] * add_to_reward)
+
+
+@pytest.mark.parametrize("key", MASKS)
+def test_each_step_beside_padding_has_the_bonus_of_its_own(key: str) -> None:
+    data, real = padded(key)
+    data["action"] = torch.rand_like(data["action"])
+    paid = CuriosityTransform(LevelBonus(0.5, slope=1.0))(data)["next", "curiosity"]
+    torch.testing.assert_close(paid, torch.where(real.unsqueeze(-1), 0.5 + data["action"], 0.0))
+
+
+def test_the_policy_is_asked_at_the_steps_beside_padding() -> None:
+    data, real = padded("mask")
+    data["goal"] = torch.rand_like(data["action"])
+    policy = TensorDictModule(lambda goal: goal, in_keys=["goal"], out_keys=["action"])
+    bonus = LevelBonus()
+    CuriosityTransform(BonusLearner(bonus), policy=policy)(data)
+    torch.testing.assert_close(bonus.fresh[0], data["goal"][real])
+
+
+def test_padding_alone_teaches_nothing() -> None:
+    data = padded("mask")[0][2:]
+    bonus = LevelBonus()
+    batch = CuriosityTransform(BonusLearner(bonus))(data)
+    assert not bonus.observed and (batch["next", "curiosity"] == 0).all()
+    with pytest.raises(ValueError, match="`mask` must leave a step to learn from, got padding"):
+        BonusLoss(bonus)(data)
+
+
+@pytest.mark.parametrize("key", MASKS)
+def test_the_bonus_loss_leaves_padding_out(key: str) -> None:
+    data, real = padded(key)
+    bonus = LevelBonus()
+    BonusLoss(bonus)(data)
+    (seen,) = bonus.observed
+    assert torch.equal(seen.observation, data["observation"][real])
+
+
+def test_what_torchrl_splits_is_learned_as_it_was() -> None:
+    rollout = steps(7)
+    rollout["next", "done"] = (torch.arange(7) == 4).unsqueeze(-1)
+    bonus = LevelBonus()
+    CuriosityTransform(BonusLearner(bonus))(split_trajectories(rollout))
+    assert torch.equal(bonus.observed[0].observation, rollout["observation"])
+
+
+def test_a_mask_of_something_else_is_left_aside() -> None:
+    data = steps(4)
+    data["mask"] = torch.zeros(4, 9, dtype=torch.bool)
+    bonus = LevelBonus()
+    CuriosityTransform(BonusLearner(bonus))(data)
+    assert len(bonus.observed[0].reward) == 4

@@ -151,7 +151,11 @@ class CuriousActorCriticLoss(SACLoss):
 
     @dispatch
     def forward(self, tensordict: TensorDictBase) -> TensorDict:
-        """All losses on a batch, and what to log beside them."""
+        """All losses on a batch, and what to log beside them.
+
+        Raises:
+            ValueError: If its rewards hold a bonus already.
+        """
         loss_qvalue, critic = self.qvalue_v2_loss(tensordict)
         loss_actor, actor = self.actor_loss(tensordict)
         tensordict.set(self.tensor_keys.priority, critic.pop("td_error"))
@@ -245,6 +249,8 @@ class CuriousActorCriticLoss(SACLoss):
     @torch.no_grad()
     def _targets(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor | None]:
         """Targets of the extrinsic value and, where it is learned, of the curiosity value."""
+        if self.reader is not None:
+            self.reader.check_unpaid(tensordict)
         tensordict = tensordict.clone(False)
         next_tensordict = tensordict.get("next")
         sample = self._sample(next_tensordict)
@@ -281,12 +287,14 @@ class CuriousActorCriticLoss(SACLoss):
         shape = chosen.get(self.tensor_keys.observation).shape[:-1]
         if not reader.bonus.ready:
             return observation.new_zeros(shape)
-        return reader.bonus(observation, action).reshape(shape)
+        bonus: Tensor = reader.bonus(observation, action)
+        rows = reader.real_rows(chosen)
+        return (bonus if rows is None else bonus * rows.to(bonus)).reshape(shape)
 
     def _bonus(self, tensordict: TensorDictBase, reader: TransitionReader) -> Tensor:
         """Bonus of each transition as a reward."""
         reward = tensordict.get(("next", self.tensor_keys.reward))
-        return reader.compute(reader.read(tensordict), like=reward)
+        return reader.compute(reader.read(tensordict), reward, reader.real_rows(tensordict))
 
     def _values(
         self, tensordict: TensorDictBase, params: TensorDictBase | TensorDictParams

@@ -18,6 +18,7 @@ from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.integrations.base import Integration
 from deep_curiosity.integrations.torchrl.actor_critic_loss import CuriousActorCriticLoss
 from deep_curiosity.integrations.torchrl.transform import CuriosityTransform
+from deep_curiosity.replay import oldest_first
 from deep_curiosity.transitions import Transition
 
 
@@ -77,12 +78,7 @@ class TorchRLIntegration(Integration):
 
     def stored(self) -> Transition:
         """All that is stored, oldest first, as it is stored."""
-        replay = self.agent.replay
-        held = replay.storage[: len(replay)]
-        if len(replay) == replay.storage.max_size:
-            oldest = replay.writer._cursor % len(replay)
-            held = torch.cat([held[oldest:], held[:oldest]])
-        return self._read(held)
+        return self._read(oldest_first(self.agent.replay))
 
     def learn(self, *, seed: int) -> None:
         """Sample, and step critics, actor and what else has a loss; then the targets follow."""

@@ -6,7 +6,7 @@ from itertools import chain
 from typing import Any
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torch import Tensor
@@ -15,6 +15,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from deep_curiosity.bonuses.base import Bonus, Policy
 from deep_curiosity.integrations.torchrl.action_box import ActionBox, Key
 from deep_curiosity.nn.networks import evaluating
+from deep_curiosity.replay import real_rows
 from deep_curiosity.transitions import Transition, check_single_steps
 
 
@@ -27,6 +28,12 @@ class TransitionKeys:
     reward: Key = "reward"
     terminated: Key = "terminated"
     truncated: Key = "truncated"
+
+    @property
+    def reward_holds_bonus(self) -> Key:
+        """Where, beside the reward, is written that a bonus has been added to it."""
+        *path, name = [self.reward] if isinstance(self.reward, str) else self.reward
+        return (*path, f"{name}_holds_bonus")
 
 
 class TransitionReader:
@@ -51,10 +58,10 @@ class TransitionReader:
     def read(
         self, tensordict: TensorDictBase, next_tensordict: TensorDictBase | None = None
     ) -> Transition:
-        """All leading dimensions as one batch.
+        """All leading dimensions as one batch, from which padding is left out.
 
         Args:
-            tensordict: Holds observation and action.
+            tensordict: Holds observation and action, and says which of its steps are padding.
             next_tensordict: Holds its outcome; the entry `"next"` when `None`.
 
         Raises:
@@ -67,7 +74,7 @@ class TransitionReader:
         check_single_steps(tensordict.get("steps_to_next_obs", None))
         observation, action = self.read_pair(tensordict)
         like, batch = observation, observation.shape[0]
-        return Transition(
+        transition = Transition(
             observation=observation,
             action=action,
             reward=self._scalars(next_tensordict, self.keys.reward, batch).to(like),
@@ -75,6 +82,14 @@ class TransitionReader:
             terminated=self._flags(next_tensordict, self.keys.terminated, batch).to(like.device),
             truncated=self._flags_or_none(next_tensordict, batch).to(like.device),
         )
+        rows = self.real_rows(tensordict)
+        if rows is None:
+            return transition
+        return Transition(*(field[rows.to(field.device)] for field in transition))
+
+    def real_rows(self, tensordict: TensorDictBase) -> Bool[Tensor, " rows"] | None:
+        """Which rows are no padding; `None` where none is."""
+        return real_rows(tensordict, _entry(tensordict, self.keys.observation).shape[:-1])
 
     def read_pair(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
         """Observation and action alone, differentiable."""
@@ -83,17 +98,44 @@ class TransitionReader:
         action = _vectors(_entry(tensordict, self.keys.action)).to(like)
         return observation, self.box.to_unit(action)
 
+    def check_unpaid(self, tensordict: TensorDictBase) -> None:
+        """Reject a batch whose reward holds a bonus, beside which another would count twice.
+
+        Raises:
+            ValueError: If a `CuriosityTransform` has added one.
+        """
+        if _entry(tensordict, "next").get(self.keys.reward_holds_bonus, None) is not None:
+            raise ValueError(
+                f"`{self.keys.reward}` must be that of the environment, got one to which a "
+                "CuriosityTransform has added a bonus: leave `add_to_reward` False in all but the "
+                "last of them, and wherever CuriousActorCriticLoss is given a bonus."
+            )
+
     @torch.no_grad()
-    def compute(self, transition: Transition, like: Tensor) -> Tensor:
+    def compute(
+        self,
+        transition: Transition,
+        like: Tensor,
+        rows: Bool[Tensor, " rows"] | None = None,
+    ) -> Tensor:
         """Bonus of each transition, in shape, dtype and device like the reward.
 
-        Where rewards are whole numbers it has a dtype of its own. Zero while it is not ready.
+        Where rewards are whole numbers it has a dtype of its own. Zero while it is not ready, and
+        for padding.
+
+        Args:
+            transition: As `read` gives it.
+            like: The reward, of padding too.
+            rows: Which rows of the reward the transitions are; all of them when `None`.
         """
         dtype = self.dtype_of_bonus(like.dtype)
-        if not self.bonus.ready:
+        if not self.bonus.ready or not len(transition.reward):
             return torch.zeros_like(like, dtype=dtype)
         observation, action, _, next_observation, *_ = transition
         bonus: Tensor = self.bonus(observation, action, next_observation)
+        if rows is not None:
+            rows = rows.to(bonus.device)
+            bonus = bonus.new_zeros(len(rows)).masked_scatter(rows, bonus)
         return bonus.reshape(like.shape).to(like.device, dtype)
 
     def dtype_of_bonus(self, reward_dtype: torch.dtype) -> torch.dtype:
@@ -135,24 +177,29 @@ class FreshActions:
 
     def at(self, sampled: TensorDictBase) -> Policy:
         """The policy at the observations of a batch, of which it may read other entries too."""
-        return partial(self, beside=sampled.select(*self.policy.in_keys, strict=False))
+        beside = sampled.select(*self.policy.in_keys, strict=False)
+        return partial(self, beside=beside, rows=self.reader.real_rows(sampled))
 
     @torch.no_grad()
     def __call__(
         self,
         observation: Float[Tensor, "batch observation_dim"],
         beside: TensorDictBase | None = None,
+        rows: Bool[Tensor, " rows"] | None = None,
     ) -> Float[Tensor, "batch action_dim"]:
         """Sample an action at each observation.
 
         Args:
             observation: Where.
             beside: Other entries that the policy reads, as many as there are observations.
+            rows: Which of these belong to the observations; all of them when `None`.
         """
         keys = self.reader.keys
         tensordict = TensorDict({}, batch_size=observation.shape[:1], device=observation.device)
         if beside is not None:
-            tensordict.update(beside.reshape(-1).to(observation.device))
+            beside = beside.reshape(-1)
+            beside = beside if rows is None else beside[rows]
+            tensordict.update(beside.to(observation.device))
         tensordict.set(keys.observation, observation)
         with set_exploration_type(ExplorationType.RANDOM), evaluating(self.policy):
             action = self.policy(tensordict).get(keys.action)

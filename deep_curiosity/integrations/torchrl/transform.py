@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator
 from threading import RLock
 
+import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import unravel_key
@@ -31,7 +32,8 @@ class CuriosityTransform(Transform):
 
     In a replay buffer it is computed afresh for each sampled batch, after a `BonusLearner` has
     learned from that batch. The storage keeps the rewards of the environment. Reading the
-    buffer by index passes through its transforms as well; `buffer.storage[...]` does not.
+    buffer by index passes through its transforms as well; `buffer.storage[...]` does not. Padding,
+    as torchrl marks it under `"mask"` or `("collector", "mask")`, is not learned and has no bonus.
 
     In an environment the bonus of each step is written as one more reward and nothing is learned
     or added. Until the bonus has observed a batch, it counts as zero. There, what changes
@@ -40,7 +42,8 @@ class CuriosityTransform(Transform):
     Args:
         bonus: A `BonusLearner`, which learns at each sample at its own pace, or a `Bonus`, which
             is only computed.
-        add_to_reward: Also add the bonus to the reward of each sampled batch.
+        add_to_reward: Also add the bonus to the reward of each sampled batch. That this was done
+            is written beside it, as `reward_holds_bonus`, so that none is added again.
         policy: Samples fresh actions for `Bonus.observe`; `None` takes the sampled ones.
         action_spec: Range of the actions, as `env.action_spec`; `low` and `high` when `None`.
         low: Lowest action. The bonus is given actions brought to [-1, 1].
@@ -96,22 +99,25 @@ class CuriosityTransform(Transform):
         What is given is left as it is: some storages hand out what they hold, and no copy.
 
         Raises:
-            ValueError: If a transform before this one changes what it reads, or the outcomes are
-                those of several steps.
+            ValueError: If a transform before this one changes what it reads, the reward holds a
+                bonus already, or the outcomes are those of several steps.
         """
         self._check_order()
-        transition = self.reader.read(tensordict)
+        self.reader.check_unpaid(tensordict)
+        transition, rows = self.reader.read(tensordict), self.reader.real_rows(tensordict)
         tensordict = tensordict.clone(False)
         next_tensordict = tensordict.get("next")
         reward = next_tensordict.get(self.reader.keys.reward)
         with ONE_AT_A_TIME:
-            if isinstance(self.source, BonusLearner):
+            if isinstance(self.source, BonusLearner) and len(transition.reward):
                 policy = None if self.policy is None else self.policy.at(tensordict)
                 self.source.learn(transition, policy)
-            bonus = self.reader.compute(transition, like=reward)
+            bonus = self.reader.compute(transition, reward, rows)
         next_tensordict.set(self.out_keys[0], bonus)
         if self.add_to_reward:
             next_tensordict.set(self.reader.keys.reward, reward + bonus)
+            paid = torch.ones_like(reward, dtype=torch.bool)
+            next_tensordict.set(self.reader.keys.reward_holds_bonus, paid)
         return tensordict
 
     def _check_order(self) -> None:
@@ -130,7 +136,7 @@ class CuriosityTransform(Transform):
 
     def _read_keys(self) -> list[Key]:
         keys = vars(self.reader.keys)
-        outcome = [("next", key) for name, key in keys.items() if name != "action"]
+        outcome = [unravel_key(("next", key)) for name, key in keys.items() if name != "action"]
         return [keys["observation"], keys["action"], *outcome]
 
     def _check_order_of_environment(self) -> None:
@@ -171,7 +177,8 @@ class CuriosityTransform(Transform):
         self._check_order_of_environment()
         transition = self.reader.read(tensordict, next_tensordict)
         reward = next_tensordict.get(self.reader.keys.reward)
-        next_tensordict.set(self.out_keys[0], self.reader.compute(transition, like=reward))
+        rows = self.reader.real_rows(tensordict)
+        next_tensordict.set(self.out_keys[0], self.reader.compute(transition, reward, rows))
         return next_tensordict
 
     def transform_reward_spec(self, reward_spec: Composite) -> Composite:
