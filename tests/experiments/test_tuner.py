@@ -393,12 +393,17 @@ def test_a_very_poor_trial_is_left_out_of_the_picture(search_in, calls, tmp_path
         ({"seeds": 0}, "`seeds` must be at least 1, got 0"),
         ({"first_seed": -5}, "`first_seed` must not be negative, got -5"),
         ({"ranges": {"easy": (0.0, math.inf), "hard": (0.0, 1.0)}}, "`ranges` must give two"),
-        ({"space": {"features": CategoricalDistribution(((0,), ()))}}, "text, numbers, True"),
     ],
 )
 def test_a_search_that_cannot_be_is_refused_before_any_trial(search, changed, message):
     with pytest.raises((TypeError, ValueError), match=message):
         replace(search, **changed)
+
+
+@pytest.mark.filterwarnings("ignore:Choices for a categorical distribution")
+def test_choices_that_optuna_does_not_keep_are_refused(search):
+    with pytest.raises(TypeError, match=r"text, numbers, True, False or None, got \(0,\)"):
+        replace(search, space={"features": CategoricalDistribution(((0,), ()))})
 
 
 def test_tasks_of_a_search_have_folders_of_their_own(search):
