@@ -164,7 +164,8 @@ class AgentConfig(Group):
     normalize_observations: bool = True
     """Show policy and critics each entry of an observation in a unit in which its root mean square
     lies between 0.1 and 10, over what was learned from of late: a speed of 0.03 is widened, and
-    what lies between is seen as it is. Models and bonus have units of their own either way."""
+    what lies between is seen as it is. An entry that is mostly zero is measured where it is not.
+    Models and bonus have units of their own either way."""
     critic_layer_norm: bool = False
     """Normalise every hidden layer of the critics, which bounds what they extrapolate."""
     mixture_components: int = setting(1, name="policy_mixture_components", at_most=100)
