@@ -57,11 +57,11 @@ def main(arguments: Sequence[str]) -> int:
     args = read_arguments(Args, arguments, description=__doc__, prog="deep-curiosity evaluate")
     config = read_config(args.folder)
     environment = make_environment(config.environment)
+    hungers = args.hunger or (None,)
+    policies = [load_policy(args.folder, config, environment, hunger=hunger) for hunger in hungers]
+    usual = load_usual_observation(args.folder)
     screen = None if args.video is None else make_screen(config.environment)
-    usual = None
-    for hunger in args.hunger or (None,):
-        act = load_policy(args.folder, config, environment, hunger=hunger)
-        usual = load_usual_observation(args.folder) if usual is None else usual
+    for hunger, act in zip(hungers, policies, strict=True):
         episodes = evaluate(
             act, environment, episodes=args.episodes, seed=args.seed, usual_observation=usual
         )
