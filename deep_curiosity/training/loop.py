@@ -103,9 +103,9 @@ def train(
         bar.close()
         run.save()
         summary = run.write_summary()
-        out, step = run.config.run.out, run.run_log.step
-        _plot(out)
+        _plot(run.folder)
         if show_progress and not run.finished:
+            out, step = run.config.run.out, run.run_log.step
             print(f"Stopped at step {step}; continue with --resume {out}")
         return summary
 

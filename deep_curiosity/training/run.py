@@ -6,10 +6,11 @@ from deep_curiosity.requirements import require_training
 require_training()
 
 import math
+import os
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from pathlib import Path
@@ -72,7 +73,6 @@ from deep_curiosity.training.log import (
     Log,
     check_unused,
     make_folder,
-    open_folder,
     progress_up_to,
     read_config,
     write_json,
@@ -109,6 +109,11 @@ class Run:
     """Of the newest checkpoint."""
     error_of_caller: BaseException | None = None
     """What a function of the caller's has raised, which is none of the environment's."""
+
+    @property
+    def folder(self) -> Path:
+        """Where it is written to, wherever the working folder is by now."""
+        return self.lease.folder
 
     @property
     def all_steps_taken(self) -> bool:
@@ -310,7 +315,7 @@ class Run:
             "action": None if self.action is None else torch.from_numpy(self.action),
             "unrecorded": self.unrecorded,
         }
-        save_checkpoint(self.config.run.out, state, check=self.lease.check)
+        save_checkpoint(self.folder, state, check=self.lease.check)
         self.saved_step = self.run_log.step
 
     def restore(self, state: dict[str, Any], *, new_episode: bool = False) -> None:
@@ -383,7 +388,7 @@ class Run:
                 "mujoco": mujoco.__version__,
             },
         }
-        write_json(config.run.out / SUMMARY, summary)
+        write_json(self.folder / SUMMARY, summary)
         return summary
 
 
@@ -424,7 +429,10 @@ def open_run(
     if own is not None:
         config = merge_config(config, own)
     check_device(config.speed.device)
+    absolute = _with_absolute_paths(config)
+    folder = absolute.run.out
     with ExitStack() as stack:
+        stack.enter_context(_working_folder_kept())
         precision = stack.enter_context(fitted_machine(config.speed))
         speed = replace(config.speed, matmul_precision=precision)  # kept when resumed
         config = replace(config, speed=speed)
@@ -432,20 +440,22 @@ def open_run(
             _print_machine(config)
         torch.manual_seed(config.run.seed)
         evaluation_environment, learner, collector = _make_parts(config, hunger, make_env, stack)
-        begins = own is None or is_unbegun(config.run.out)
+        named = config.run.out if config.run.out.absolute() == folder else folder  # for errors
+        begins = own is None or is_unbegun(folder)
         if begins:
-            begin_from(config, learner, collector)
-        lease = _hold_folder(config.run.out, resume=resume)
+            begin_from(absolute, learner, collector)
+        lease = _hold_folder(folder, named, resume=resume)
         stack.callback(lease.release)
-        state = {} if begins else load_checkpoint(config.run.out, mend=True, argument="resume")
+        state = {} if begins else load_checkpoint(named, mend=True, argument="resume")
         spaces = task_spaces(evaluation_environment)
         if own is None:
-            open_folder(config)
+            check_unused(named)  # by another process meanwhile
+            write_json(folder / CONFIG, config.to_json())
         else:
             _check_continued(config, own, state, hunger, new_episode=new_episode)
         if state:
-            check_same_task(spaces, config.run.out)
-        log = _open_log(config.run.out, state)
+            check_same_task(spaces, named)
+        log = _open_log(folder, state)
         stack.callback(log.close)
         started = time.perf_counter() - state.get("run_log", {}).get("wall_seconds", 0.0)
         run = Run(
@@ -456,10 +466,35 @@ def open_run(
         else:
             run.restore(state, new_episode=new_episode)
         # only now: what cannot be continued keeps its spaces and settings
-        write_json(config.run.out / SPACES, spaces.to_json())
+        write_json(folder / SPACES, spaces.to_json())
         if resume:
-            write_json(config.run.out / CONFIG, config.to_json())
+            write_json(folder / CONFIG, config.to_json())
         yield run
+
+
+@contextmanager
+def _working_folder_kept() -> Iterator[None]:
+    """Come back at the end to the working folder, which environments may change."""
+    before = None
+    with suppress(FileNotFoundError):  # it is deleted
+        before = Path.cwd()
+    try:
+        yield
+    finally:
+        if before is not None:
+            with suppress(OSError):
+                os.chdir(before)
+
+
+def _with_absolute_paths(config: Config) -> Config:
+    """Settings whose folders stay the same where an environment changes the working folder."""
+    origin = config.run.init_from
+    run = replace(
+        config.run,
+        out=config.run.out.absolute(),
+        init_from=None if origin is None else origin.absolute(),
+    )
+    return replace(config, run=run)
 
 
 def _check_request(*, resume: bool, new_episode: bool) -> None:
@@ -507,11 +542,11 @@ def is_unbegun(folder: Path) -> bool:
     )
 
 
-def _hold_folder(folder: Path, *, resume: bool) -> Lease:
+def _hold_folder(folder: Path, named: Path, *, resume: bool) -> Lease:
     """Lease on the folder of a run, which is made, and not touched where it is another's."""
-    make_folder(folder)
+    make_folder(named)
     if not resume:
-        check_unused(folder)
+        check_unused(named)
     return Lease(folder)
 
 

@@ -1,6 +1,8 @@
+import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import gymnasium
 import numpy as np
@@ -8,7 +10,8 @@ import pytest
 import torch
 
 from deep_curiosity.replay import ReplayBuffer
-from deep_curiosity.training import Config, train
+from deep_curiosity.training import Config, continue_run, train
+from deep_curiosity.training.config import EnvironmentConfig
 from deep_curiosity.training.environments import make_environment
 from deep_curiosity.training.exploration import OrnsteinUhlenbeckNoise
 from deep_curiosity.training.greedy import GreedyStretches
@@ -213,6 +216,53 @@ def test_another_default_of_torch_is_refused_by_name(tiny):
     finally:
         torch.set_default_dtype(torch.float32)
     assert not tiny.run.out.exists()
+
+
+class Wanders(gymnasium.Wrapper):
+    """Changes the working folder when it is made, and at every reset."""
+
+    def __init__(self, elsewhere):
+        super().__init__(gymnasium.make("Pendulum-v1"))
+        self.elsewhere = elsewhere
+        os.chdir(elsewhere)
+
+    def reset(self, **options):
+        os.chdir(self.elsewhere / "deeper")
+        return super().reset(**options)
+
+
+@pytest.mark.parametrize("num_envs", [1, 2])
+def test_a_run_stays_where_it_was_begun_wherever_its_environment_goes(
+    tiny, tmp_path, monkeypatch, num_envs
+):
+    elsewhere = tmp_path / "elsewhere"
+    (elsewhere / "deeper").mkdir(parents=True)
+    monkeypatch.setattr("deep_curiosity.training.figures.plot_run", lambda to: drawn.append(to))
+    monkeypatch.chdir(tmp_path)
+    drawn, make_env = [], lambda: Wanders(elsewhere)
+    config = tiny.override(env_id=EnvironmentConfig().env_id, env_kwargs={}, num_envs=num_envs)
+    config = config.override(out="runs/wandering")
+    train(config, make_env=make_env, show_progress=False)
+    assert Path.cwd() == tmp_path
+    assert drawn == [tmp_path / "runs" / "wandering"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["elsewhere", "runs"]
+    assert [path.name for path in elsewhere.rglob("*")] == ["deeper"]
+    written = {path.name for path in Path("runs/wandering").iterdir()}
+    assert written >= {"config.json", "spaces.json", "checkpoint.pt", "progress.csv"}
+    assert json.loads(Path("runs/wandering/config.json").read_text())["out"] == "runs/wandering"
+    Path("runs/wandering").rename("moved")
+    continue_run("moved", total_steps=80, make_env=make_env, show_progress=False)
+    begun = config.override(init_from="moved", out="runs/next")
+    train(begun, make_env=make_env, show_progress=False)
+    assert read_config(Path("runs/next")).run.init_from == Path("moved")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["elsewhere", "moved", "runs"]
+
+
+def test_a_folder_is_named_in_errors_as_it_was_given(tiny, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    train(tiny.override(out="mine"), show_progress=False)
+    with pytest.raises(FileExistsError, match="must not hold a run already, got mine; continue"):
+        train(tiny.override(out="mine"), show_progress=False)
 
 
 def test_training_and_evaluations_never_share_an_environment(tiny):
