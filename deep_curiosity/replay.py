@@ -469,11 +469,16 @@ class ReplayBuffer:
         Raises:
             TypeError: If it holds something else than tensordicts.
             ValueError: If it is empty, an entry has the wrong shape or holds NaN or infinity, or
-                the next observations are those of several steps later, or a storage of several
-                dimensions holds padding. A storage of one dimension may: padding is left out.
+                the next observations are those of several steps later, the rewards hold a bonus,
+                or a storage of several dimensions holds padding, which is else left out.
         """
         held = _without_padding(oldest_first(buffer))
         next_step = held["next"]
+        if next_step.get("reward_holds_bonus", None) is not None:
+            raise ValueError(
+                "`reward` must be that of the environment, got one to which a CuriosityTransform "
+                "has added a bonus: store what was collected, not what was sampled."
+            )
         vectors = held["observation"], held["action"], next_step["observation"]
         names = ("reward", "terminated", "truncated")
         scalars = (next_step[name].cpu().flatten().numpy() for name in names)

@@ -201,6 +201,8 @@ def test_a_batch_to_which_a_bonus_was_added_is_not_taken_for_a_raw_one() -> None
     other.extend(buffer.sample())
     with pytest.raises(ValueError, match=TWICE):
         other.sample()
+    with pytest.raises(ValueError, match=TWICE):
+        ReplayBuffer.from_torchrl(other)
 
 
 def test_each_of_several_rewards_may_have_a_bonus_of_its_own() -> None:
