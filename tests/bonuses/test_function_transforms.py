@@ -55,6 +55,15 @@ def test_the_gradient_in_the_action_is_that_of_autograd(name: str) -> None:
     assert torch.equal(found, action.grad)
 
 
+@pytest.mark.parametrize("name", ["nearest-neighbours", "rnd", "icm"])
+def test_the_gradient_in_the_outcome_is_that_of_autograd(name: str) -> None:
+    bonus, (observation, action, _, outcome, *_) = trained(name)
+    found = grad(lambda outcome: bonus(observation, action, outcome).sum())(outcome)
+    outcome.requires_grad_()
+    bonus(observation, action, outcome).sum().backward()
+    assert found.abs().sum() > 0 and torch.equal(found, outcome.grad)
+
+
 @pytest.mark.parametrize("name", DIFFERENTIABLE)
 def test_the_jacobian_agrees_with_the_gradient(name: str) -> None:
     bonus, (observation, action, *_) = trained(name)
