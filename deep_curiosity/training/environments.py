@@ -35,9 +35,14 @@ from gymnasium.wrappers import (
 import deep_curiosity_envs
 from deep_curiosity.training.config import EnvironmentConfig
 from deep_curiosity.training.frame_stack import FrameStack, VectorFrameStack
-from deep_curiosity.training.infos import AsyncEnvironments, SyncEnvironments
 from deep_curiosity.training.spaces import Entry, TaskSpaces
-from deep_curiosity.training.wrappers import ActionRepeat, PlainSteps, VectorObservation
+from deep_curiosity.training.wrappers import (
+    ActionRepeat,
+    AsyncEnvironments,
+    PlainSteps,
+    SyncEnvironments,
+    VectorObservation,
+)
 
 GOAL_ENDS_EPISODE = frozenset(
     {"gymnasium.envs.classic_control.continuous_mountain_car:Continuous_MountainCarEnv"}

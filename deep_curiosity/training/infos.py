@@ -1,55 +1,16 @@
 """What several environments tell beside their observations: joined, and read entry by entry."""
-# ruff: noqa: E402  # what is missing is reported before anything needs it
-
-from deep_curiosity.requirements import require_training
-
-require_training()
 
 from collections.abc import Mapping, Sequence
 from itertools import compress
 from typing import Any
 
 import numpy as np
-from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv, VectorEnv
 from numpy.typing import NDArray
 
 from deep_curiosity.training.interfaces import Info
 
 NUMBERS = (np.ndarray, np.generic, bool, int, float)
 """Types of numbers, and of arrays of them."""
-
-
-class JoinedInfos(VectorEnv):
-    """Joins the infos of its environments by `joined`, which takes whatever an info may hold."""
-
-    def reset(
-        self, *, seed: Any = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        """Begin episodes."""
-        observation, infos = super().reset(seed=seed, options=options)
-        return observation, self._joined(infos)
-
-    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Step every environment."""
-        *outcome, infos = super().step(actions)
-        observation, reward, terminated, truncated = outcome
-        return observation, reward, terminated, truncated, self._joined(infos)
-
-    def _add_info(self, vector_infos: Any, env_info: dict[str, Any], env_num: int) -> Any:
-        """Keep the infos apart until all are there."""
-        vector_infos[env_num] = env_info
-        return vector_infos
-
-    def _joined(self, infos: Any) -> dict[str, Any]:
-        return joined([infos.get(index, {}) for index in range(self.num_envs)])
-
-
-class SyncEnvironments(JoinedInfos, SyncVectorEnv):
-    """Environments that are stepped one after another."""
-
-
-class AsyncEnvironments(JoinedInfos, AsyncVectorEnv):
-    """Environments that step in a process of their own each."""
 
 
 def joined(infos: Sequence[Info]) -> dict[str, Any]:

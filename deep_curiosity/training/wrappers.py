@@ -12,8 +12,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium import spaces
+from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv, VectorEnv
 
 from deep_curiosity.training.failure import RAISED
+from deep_curiosity.training.infos import joined
 
 SUCCESS_NAMES = ("is_success", "success")
 """Entries of an info by which tasks report success."""
@@ -175,6 +177,39 @@ class ActionRepeat(gymnasium.Wrapper):
         if succeeded or "is_success" in info:  # it may be told at the step alone where it happens
             info["is_success"] = succeeded
         return observation, total, terminated, truncated, info
+
+
+class JoinedInfos(VectorEnv):
+    """Joins the infos of its environments by `joined`, which takes whatever an info may hold."""
+
+    def reset(
+        self, *, seed: Any = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin episodes."""
+        observation, infos = super().reset(seed=seed, options=options)
+        return observation, self._joined(infos)
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Step every environment."""
+        *outcome, infos = super().step(actions)
+        observation, reward, terminated, truncated = outcome
+        return observation, reward, terminated, truncated, self._joined(infos)
+
+    def _add_info(self, vector_infos: Any, env_info: dict[str, Any], env_num: int) -> Any:
+        """Keep the infos apart until all are there."""
+        vector_infos[env_num] = env_info
+        return vector_infos
+
+    def _joined(self, infos: Any) -> dict[str, Any]:
+        return joined([infos.get(index, {}) for index in range(self.num_envs)])
+
+
+class SyncEnvironments(JoinedInfos, SyncVectorEnv):
+    """Environments that are stepped one after another."""
+
+
+class AsyncEnvironments(JoinedInfos, AsyncVectorEnv):
+    """Environments that step in a process of their own each."""
 
 
 def real_dtype(dtype: Any) -> type[np.floating]:

@@ -11,7 +11,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from deep_curiosity.training.collector import Collector, Episode, evaluate
 from deep_curiosity.training.config import EnvironmentConfig
 from deep_curiosity.training.environments import make_vector_environment
-from deep_curiosity.training.infos import SyncEnvironments
+from deep_curiosity.training.wrappers import SyncEnvironments
 
 
 class Counter(gymnasium.Env):

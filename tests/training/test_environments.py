@@ -28,7 +28,7 @@ from deep_curiosity.training.environments import (
     picture_features,
     registered_id,
 )
-from deep_curiosity.training.infos import AsyncEnvironments, SyncEnvironments
+from deep_curiosity.training.wrappers import AsyncEnvironments, SyncEnvironments
 from deep_curiosity_envs import MujocoVectorEnv
 
 VECTOR = spaces.Box(-1.0, 1.0, (3,))

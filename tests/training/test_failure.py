@@ -9,7 +9,7 @@ from deep_curiosity.training.failure import (
     failed_index,
     note,
 )
-from deep_curiosity.training.infos import SyncEnvironments
+from deep_curiosity.training.wrappers import SyncEnvironments
 
 
 class Breaking(gymnasium.Wrapper):

@@ -1,4 +1,6 @@
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -111,6 +113,14 @@ def test_an_empty_battery_makes_hungry_in_training_and_evaluation():
 def test_a_battery_must_be_in_the_observation():
     with pytest.raises(ValueError, match="`battery` must be an entry of an observation of 3, got"):
         make_hunger_controller(Config.of(hunger="battery:3"), observation_dim=3)
+
+
+def test_a_policy_knows_its_battery_where_nothing_is_installed_to_train():
+    code = (
+        "import sys; sys.modules['gymnasium'] = sys.modules['mujoco'] = None;"
+        "import deep_curiosity.training.hunger, deep_curiosity.trained.policy"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
 
 
 def test_a_battery_must_be_in_the_info():
