@@ -433,12 +433,7 @@ def open_run(
     folder = absolute.run.out
     with ExitStack() as stack:
         stack.enter_context(_working_folder_kept())
-        precision = stack.enter_context(fitted_machine(config.speed))
-        speed = replace(config.speed, matmul_precision=precision)  # kept when resumed
-        config = replace(config, speed=speed)
-        if not quiet:
-            _print_machine(config)
-        torch.manual_seed(config.run.seed)
+        config = _fit_machine(config, stack, quiet=quiet)
         evaluation_environment, learner, collector = _make_parts(config, hunger, make_env, stack)
         named = config.run.out if config.run.out.absolute() == folder else folder  # for errors
         begins = own is None or is_unbegun(folder)
@@ -447,12 +442,12 @@ def open_run(
         lease = _hold_folder(folder, named, resume=resume)
         stack.callback(lease.release)
         state = {} if begins else load_checkpoint(named, mend=True, argument="resume")
-        spaces = task_spaces(evaluation_environment)
         if own is None:
             check_unused(named)  # by another process meanwhile
             write_json(folder / CONFIG, config.to_json())
         else:
             _check_continued(config, own, state, hunger, new_episode=new_episode)
+        spaces = task_spaces(evaluation_environment)
         if state:
             check_same_task(spaces, named)
         log = _open_log(folder, state)
@@ -470,6 +465,16 @@ def open_run(
         if resume:
             write_json(folder / CONFIG, config.to_json())
         yield run
+
+
+def _fit_machine(config: Config, stack: ExitStack, *, quiet: bool) -> Config:
+    """Fit the machine to the run until the stack is closed; settings that say how, to be kept."""
+    precision = stack.enter_context(fitted_machine(config.speed))
+    config = replace(config, speed=replace(config.speed, matmul_precision=precision))
+    if not quiet:
+        _print_machine(config)
+    torch.manual_seed(config.run.seed)
+    return config
 
 
 @contextmanager
