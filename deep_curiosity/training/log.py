@@ -36,14 +36,18 @@ def make_folder(folder: Path) -> None:
         ) from error
 
 
-def open_folder(config: Config) -> Path:
+def open_folder(config: Config, folder: Path | None = None) -> Path:
     """Folder of the run, with its settings written; a folder that holds a run is left alone.
+
+    Args:
+        config: Settings of the run.
+        folder: What its `out` names, where that could be another folder meanwhile.
 
     Raises:
         FileExistsError: If the folder already holds a run, or files that it would write over.
         OSError: If a file is in its place, or it cannot be made.
     """
-    folder = config.run.out
+    folder = config.run.out if folder is None else folder
     make_folder(folder)
     check_unused(folder)
     write_json(folder / CONFIG, config.to_json())

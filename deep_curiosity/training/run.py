@@ -73,6 +73,7 @@ from deep_curiosity.training.log import (
     Log,
     check_unused,
     make_folder,
+    open_folder,
     progress_up_to,
     read_config,
     write_json,
@@ -443,8 +444,7 @@ def open_run(
         stack.callback(lease.release)
         state = {} if begins else load_checkpoint(named, mend=True, argument="resume")
         if own is None:
-            check_unused(named)  # by another process meanwhile
-            write_json(folder / CONFIG, config.to_json())
+            open_folder(config, named)  # unless another process has meanwhile
         else:
             _check_continued(config, own, state, hunger, new_episode=new_episode)
         spaces = task_spaces(evaluation_environment)
