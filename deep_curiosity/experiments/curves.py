@@ -2,7 +2,6 @@
 
 import json
 import math
-import os
 import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -15,7 +14,14 @@ from matplotlib.figure import Figure
 from deep_curiosity.experiments.figures import draw_curve, estimate_curve, label_beside, plain
 from deep_curiosity.experiments.study import Row
 from deep_curiosity.training.config import IGNORED, run_key
-from deep_curiosity.training.log import CONFIG, PROGRESS, SUMMARY, parse_progress, read_values
+from deep_curiosity.training.log import (
+    CONFIG,
+    PROGRESS,
+    SUMMARY,
+    parse_progress,
+    read_values,
+    run_folders,
+)
 
 TAGS = (
     "eval/return",
@@ -66,27 +72,12 @@ def find_runs(paths: Iterable[Path]) -> list[Path]:
     """
     found: dict[Path, Path] = {}
     for path in paths:
-        folders = _run_folders(path)
+        folders = run_folders(path)
         if not folders:
             raise FileNotFoundError(f"`runs` must be folders of runs, got {path}, which has none.")
         for folder in folders:
             found.setdefault(folder.resolve(), folder)
     return list(found.values())
-
-
-def _run_folders(path: Path) -> list[Path]:
-    """Folders with settings below a path, in their order; links are followed."""
-    found, been = [], set()
-    for name, below, names in os.walk(path, followlinks=True):
-        folder = Path(name)
-        if folder.resolve() in been:  # a link leads back
-            below.clear()
-            continue
-        been.add(folder.resolve())
-        below.sort()  # so that of several ways the same one is taken again
-        if CONFIG in names:
-            found.append(folder)
-    return sorted(found)
 
 
 def read_runs(folders: Sequence[Path], group_by: Sequence[str] = ()) -> list[RunCurves]:

@@ -16,6 +16,7 @@ from deep_curiosity.training.log import (
     SUMMARY,
     read_progress,
     read_values,
+    run_folders,
     write_text,
 )
 from deep_curiosity.training.loop import train
@@ -165,14 +166,14 @@ def find_finished(runs: Path) -> dict[str, Path]:
     lies, with a warning.
     """
     found = {}
-    for path in sorted(runs.rglob(CONFIG), reverse=True):
+    for folder in reversed(run_folders(runs)):
         try:
-            values = read_values(path.parent)
+            values = read_values(folder)
         except (OSError, ValueError) as error:
-            warnings.warn(f"{path.parent} is passed over: {error}", stacklevel=2)
+            warnings.warn(f"{folder} is passed over: {error}", stacklevel=2)
             continue
-        if _is_finished(path.parent, values):
-            found[run_key(values)] = path.parent
+        if _is_finished(folder, values):
+            found[run_key(values)] = folder
     return found
 
 

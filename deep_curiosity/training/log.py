@@ -54,6 +54,21 @@ def open_folder(config: Config, folder: Path | None = None) -> Path:
     return folder
 
 
+def run_folders(path: Path) -> list[Path]:
+    """Folders with settings below a path, in their order; links are followed."""
+    found, been = [], set()
+    for name, below, names in os.walk(path, followlinks=True):
+        folder = Path(name)
+        if folder.resolve() in been:  # a link leads back
+            below.clear()
+            continue
+        been.add(folder.resolve())
+        below.sort()  # so that of several ways the same one is taken again
+        if CONFIG in names:
+            found.append(folder)
+    return sorted(found)
+
+
 def check_unused(folder: Path) -> None:
     """Refuse a folder that holds a run, or files that a run would write over.
 

@@ -133,3 +133,13 @@ def test_a_run_that_another_process_begins_meanwhile_is_held(tiny, tmp_path, mon
     (tmp_path / "mine" / "progress.csv").touch()
     with pytest.raises(FileExistsError, match="no file that a run would write over"):
         run_once(tiny.override(out=tmp_path / "mine"))
+
+
+def test_a_finished_run_is_found_behind_a_link(tiny, tmp_path):
+    there = tiny.override(out=tmp_path / "elsewhere" / "run")
+    finish(there)
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "runs" / "linked").symlink_to(tmp_path / "elsewhere")
+    assert find_finished(tmp_path / "runs") == {
+        finished_key(there): tmp_path / "runs" / "linked" / "run"
+    }

@@ -40,7 +40,7 @@ def find_study(name: str) -> tuple[str, Study, Path]:
     """
     file, _, wanted = name.partition(":")
     if file.endswith(".py"):
-        return _find_own(Path(file), wanted)
+        return _find_own(Path(file).expanduser(), wanted)
     if name in LIBRARIES:
         return name, import_module(f"{__name__}.{name}").STUDIES[name], Path("docs/study")
     known: list[str] = []
@@ -133,7 +133,7 @@ def find_search(name: str) -> tuple[str, Search]:
     require("optuna", extra="tune")
     file, _, wanted = name.partition(":")
     if file.endswith(".py"):
-        return load_own(Path(file), "SEARCHES", wanted)
+        return load_own(Path(file).expanduser(), "SEARCHES", wanted)
     searches = import_module(f"{__name__}.searches").SEARCHES
     if name not in searches:
         choices = ", ".join(searches)

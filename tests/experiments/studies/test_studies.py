@@ -110,3 +110,9 @@ def test_nothing_that_is_reported_was_looked_at_to_choose_defaults():
     chosen_on = {task.name for task in (*development.TASKS, *development.DENSE_TASKS)}
     both = {task.name for task in results.SPARSE_TASKS} & chosen_on
     assert both == {"MountainCarContinuous-v0"}  # which the protocol says
+
+
+def test_a_file_is_found_below_the_home_folder(tmp_path, monkeypatch):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    (tmp_path / "study_at_home.py").write_text(OWN)
+    assert find_study("~/study_at_home.py:own")[0] == "own"
