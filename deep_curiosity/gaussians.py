@@ -17,6 +17,7 @@ import torch
 from jaxtyping import Float, Int, jaxtyped
 from torch import Tensor
 
+LEAST_LOG_WEIGHT = -1e30  # whose exponential is zero in any precision
 LOG_TWO_PI = math.log(2 * math.pi)
 Parameters = ParamSpec("Parameters")
 
@@ -226,6 +227,8 @@ def kl_to_mixture_upper(
     Returns:
         The bound for each Gaussian, differentiable in every argument.
     """
+    if component_log_weight is not None:  # minus infinity would make second derivatives NaN
+        component_log_weight = component_log_weight.clamp(min=LEAST_LOG_WEIGHT)
     log_density = _expected_log_density(
         loc,
         log_var,

@@ -926,3 +926,22 @@ def test_small_batches_are_paid_a_bonus_of_about_its_weight(batch_size):
     value = bonus(data.observation, data.action)
     assert abs(value.mean()) < 0.5
     assert 0.6 < value.std() < 1.6
+
+
+def test_second_derivatives_in_the_action_are_those_of_differences():
+    torch.manual_seed(0)
+    bonus = CuriosityBonus.default(3, 1, hidden_dims=(16,), components=256).double()
+    state, action = torch.randn(41, 3).double(), torch.rand(41, 1).double() * 2 - 1
+    flag = torch.zeros(40, dtype=torch.bool)
+    bonus.observe(
+        Transition(state[:-1], action[:-1], flag.double(), state[1:], flag, flag)
+    )  # most of the components are empty
+
+    def slope(action):
+        action = action.requires_grad_()
+        return torch.autograd.grad(bonus(state[:5], action).sum(), action, create_graph=True)[0]
+
+    asked, step = action[:5].clone(), 1e-5
+    (second,) = torch.autograd.grad(slope(asked).sum(), asked)
+    differences = (slope(action[:5] + step) - slope(action[:5] - step)) / (2 * step)
+    torch.testing.assert_close(second, differences.detach(), rtol=1e-3, atol=1e-5)
