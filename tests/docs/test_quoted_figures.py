@@ -552,3 +552,30 @@ def test_what_is_said_of_another_bonus_is_what_was_measured():
     ]
     said = "CartpoleSwingup in {:.0f} runs of 8, at an area of {:.0f} in the place of {:.0f} ("
     assert said.format(today, *areas) in page
+
+
+def test_what_is_said_of_the_standardised_bonuses_is_what_was_measured():
+    rows = read_rows(ROOT / "docs/development/standardization.csv")
+    by_bonus = {bonus: own for (bonus,), own in grouped(rows, "bonus").items()}
+    default = by_bonus.pop("default")
+    means = [abs(row["bonus_mean"]) for row in default]
+    stds = [row["bonus_std"] for row in default]
+    text = text_of("docs/development/README.md")
+    assert (
+        f"The default's mean lies within 0.1 of zero in {sum(mean <= 0.1 for mean in means)} of "
+        f"{len(means)} rows and within {max(means):.2f} in all, its standard deviation between "
+        f"{min(stds):.2f} and {max(stds):.2f}."
+    ) in text
+    furthest = {
+        bonus: max(abs(row["bonus_mean"]) for row in own) for bonus, own in by_bonus.items()
+    }
+    spread = [row["bonus_std"] for own in by_bonus.values() for row in own]
+    listed = ", ".join(f"{bonus} {value:.2f}" for bonus, value in furthest.items())
+    assert f"furthest from zero: {listed}." in text
+    assert f"Theirs is between {min(spread):.2f} and {max(spread):.2f}." in text
+    draws = {
+        task: max(row["draw_share"] for row in default if row["task"] == task)
+        for task in ("PendulumSwingup", "PointMaze", "ReacherSparse")
+    }
+    listed = ", ".join(f"{share:.2f} on {task}" for task, share in draws.items())
+    assert f"at most {listed}" in text
