@@ -21,7 +21,7 @@ train: setup  ## train the curious agent on PendulumSwingup with action cost, un
 	$(BIN)/python scripts/train.py --env-id PendulumSwingup --env-kwargs action_cost 0.1 \
 		--total-steps 16000 --hidden-dim 64 --out $(OUT)
 
-test: setup  ## the default tests, under 5 minutes
+test: setup  ## the default tests, some 6 minutes on two cores
 	$(BIN)/python -m pytest -n auto --ignore tests/training
 	$(BIN)/python -m pytest -n auto tests/training  # apart: it forks environments
 

@@ -921,6 +921,7 @@ def test_the_gradient_of_a_policy_of_two_components_is_that_of_its_expectation()
     assert_gradients(agent, "policy", before.policy.parameters(), atol=1e-8)
 
 
+@pytest.mark.slow
 def test_a_policy_of_two_components_keeps_two_ways_apart():
     class Either(PushingBonus):
         """Pays for an action far from the middle, on either side."""
@@ -1017,6 +1018,7 @@ def test_where_conditioned_reward_and_curiosity_weigh_in_units_of_their_standard
     assert agent._coefficient(hunger).tolist() == [1.0, 0.5, 0.0]
 
 
+@pytest.mark.slow
 def test_one_conditioned_agent_learns_to_be_greedy_and_to_be_curious():
     """Episodes of one step: reward is for the left, the bonus is for the right."""
     torch.manual_seed(0)

@@ -6,6 +6,7 @@ from deep_curiosity.benchmark.tables import grouped
 from deep_curiosity.experiments.tables import write_table
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")  # what MuJoCo says of the task's file
 def test_every_adapter_is_measured_against_the_bonus_alone(tmp_path):
     rows = measure_adapters("HalfCheetah-v5", repeats=3, calls=2)

@@ -17,6 +17,7 @@ def test_a_missing_package_is_an_import_error():
         Worker(partial(import_runner, "no_such_package:Agent"))
 
 
+@pytest.mark.slow
 def test_stable_baselines_steps():
     pytest.importorskip("stable_baselines3")
     address = "deep_curiosity.benchmark.stable_baselines:StableBaselines"

@@ -30,6 +30,7 @@ def test_the_frame_stack_is_profiled():
     assert features == [str(number) for number in range(2 * 3 + 1)]
 
 
+@pytest.mark.slow
 def test_a_useless_bonus_is_reported_by_the_exit_status():
     done = check("PendulumSwingup", "--num-steps", "100", "--bonus", "constant")
     assert done.returncode == 1 and "not constant  NO" in done.stdout

@@ -33,6 +33,7 @@ def assert_unharmed(kills, seed):
         assert [tally[fault] for tally in tallies] == [0] * len(VARIANTS)
 
 
+@pytest.mark.slow
 def test_runs_that_are_killed_and_continued_are_as_if_they_were_not():
     assert_unharmed(kills=30, seed=0)
 

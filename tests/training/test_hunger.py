@@ -326,6 +326,7 @@ def test_a_run_that_is_not_conditioned_is_played_at_no_other_hunger(tiny):
     environment.close()
 
 
+@pytest.mark.slow
 def test_curiosity_past_the_end_of_the_episode_is_a_setting(tiny):
     rover = tiny.override(
         env_id="BatteryRover",
