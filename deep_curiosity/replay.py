@@ -58,7 +58,7 @@ class ReplayBuffer:
             action_dim=action_dim,
             num_envs=num_envs,
         )
-        _check_seed(seed)
+        check_seed(seed)
         self.capacity = capacity
         self.num_envs = num_envs
         self.observation_dim = observation_dim
@@ -592,7 +592,13 @@ def _as_sound(sound: Any, num_rows: int) -> np.ndarray:
     return flags
 
 
-def _check_seed(seed: Any) -> None:
+def check_seed(seed: Any) -> None:
+    """Reject what is no seed of torch's generators.
+
+    Raises:
+        TypeError: If it is no whole number.
+        ValueError: If it is none that torch takes.
+    """
     if isinstance(seed, bool) or not isinstance(seed, numbers.Integral):
         raise TypeError(f"`seed` must be a whole number, got {seed!r}.")
     if not SEEDS[0] <= int(seed) < SEEDS[1]:

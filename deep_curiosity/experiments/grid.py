@@ -363,16 +363,15 @@ def report(
 
 def _plot(study: Study, rows: list[Row], curves: list[Row], out: Path) -> None:
     """Draw the figures; one of an earlier call, where there is nothing to draw, is removed."""
+    joint, once = study.joint, one_for_each_run(study, rows)
     if not rows:
         output_path(out, ".png").unlink(missing_ok=True)
     elif study.curves:
-        once = one_for_each_run(study, rows)
         plot_curves(output_path(out, ".png"), study, once, curves)
     else:
         plot_columns(output_path(out, ".png"), study, rows)
-    joint, rows = study.joint, one_for_each_run(study, rows)
-    if study.curves and have_joint_curve(joint, rows):
-        plot_together(output_path(out, "_together.png"), joint, rows, curves)
+    if study.curves and have_joint_curve(joint, once):
+        plot_together(output_path(out, "_together.png"), joint, once, curves)
     elif study.curves:
         output_path(out, "_together.png").unlink(missing_ok=True)
 

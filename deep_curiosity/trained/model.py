@@ -1,6 +1,5 @@
 """Model and bonus of a run for use: predictions in units of the task, and the bonus, frozen."""
 
-import numbers
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,7 +12,7 @@ from torch import Tensor
 from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.bonuses.dynamics import DynamicsEnsemble
 from deep_curiosity.bonuses.frozen import FrozenBonus
-from deep_curiosity.replay import SEEDS
+from deep_curiosity.replay import check_seed
 from deep_curiosity.trained.policy import (
     ActionBounds,
     as_batch,
@@ -78,7 +77,7 @@ class TrainedModel:
                 seed is none that torch takes.
         """
         check_counts(num_samples=num_samples)
-        _check_seed(seed)
+        check_seed(seed)
         vector = self._vector(observation)
         batch = as_batch("observation", vector, self.dynamics.observation_dim)
         given = np.asarray(action, dtype=np.float32)
@@ -170,13 +169,6 @@ def load_bonus(folder: str | Path) -> FrozenBonus:
     if bonus is None:
         raise ValueError(f"`folder` must be of a run with a bonus, got bonus 'none' in {folder}.")
     return FrozenBonus(bonus)
-
-
-def _check_seed(seed: Any) -> None:
-    if isinstance(seed, bool) or not isinstance(seed, numbers.Integral):
-        raise TypeError(f"`seed` must be a whole number, got {seed!r}.")
-    if not SEEDS[0] <= int(seed) < SEEDS[1]:
-        raise ValueError(f"`seed` must lie in [-2**63, 2**64), got {seed}.")
 
 
 def _make_bonus(trained: Trained) -> Bonus | None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from deep_curiosity.configuration import from_home
 from deep_curiosity.experiments.engines.base import send_along
 from deep_curiosity.experiments.search import Search
 from deep_curiosity.experiments.study import Study
@@ -40,7 +41,7 @@ def find_study(name: str) -> tuple[str, Study, Path]:
     """
     file, _, wanted = name.partition(":")
     if file.endswith(".py"):
-        return _find_own(Path(file).expanduser(), wanted)
+        return _find_own(from_home(Path(file)), wanted)
     if name in LIBRARIES:
         return name, import_module(f"{__name__}.{name}").STUDIES[name], Path("docs/study")
     known: list[str] = []
@@ -133,7 +134,7 @@ def find_search(name: str) -> tuple[str, Search]:
     require("optuna", extra="tune")
     file, _, wanted = name.partition(":")
     if file.endswith(".py"):
-        return load_own(Path(file).expanduser(), "SEARCHES", wanted)
+        return load_own(from_home(Path(file)), "SEARCHES", wanted)
     searches = import_module(f"{__name__}.searches").SEARCHES
     if name not in searches:
         choices = ", ".join(searches)
