@@ -22,8 +22,7 @@ train: setup  ## train the curious agent on PendulumSwingup with action cost, un
 		--total-steps 16000 --hidden-dim 64 --out $(OUT)
 
 test: setup  ## the default tests, some 6 minutes on two cores
-	$(BIN)/python -m pytest -n auto --ignore tests/training
-	$(BIN)/python -m pytest -n auto tests/training  # apart: it forks environments
+	$(BIN)/python -m pytest -n auto
 
 slow: setup  ## the learning tests, tens of minutes
 	$(BIN)/python -m pytest -m slow

@@ -50,6 +50,12 @@ CHECKED = [
 ]
 
 
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Tests that fork environments come first: a process with the threads of others may not."""
+    forking = Path(__file__).parent / "training"
+    items.sort(key=lambda item: not item.path.is_relative_to(forking))
+
+
 @pytest.fixture(autouse=True)
 def checked_annotations(request: pytest.FixtureRequest) -> Iterator[None]:
     """Tensors of another shape or type than annotated are refused."""

@@ -73,7 +73,7 @@ def spread_over_usual_rows(name: str, absurd: float | None) -> float:
 def test_one_absurd_row_leaves_the_bonus_of_all_others_its_spread(name: str) -> None:
     whole = spread_over_usual_rows(name, None)
     assert whole > 0.02
-    for absurd in (1e2, 1e3, 1e4, 1e6, 1e12):
+    for absurd in (1e2, 1e4, 1e12):
         assert spread_over_usual_rows(name, absurd) == pytest.approx(whole, rel=0.5)
 
 

@@ -238,10 +238,10 @@ def test_on_a_gpu_compiled_updates_give_the_same_numbers_and_wait_for_nothing():
     ("options", "bonus", "within"),
     [
         ({"actor_batch_fraction": 0.5, "actor_q": "alternate"}, "{}", 1e-5),
-        pytest.param(MAXIMISED, "{}", 1e-5, marks=slow),
-        pytest.param(MAXIMISED, ENTRIES, 5e-5, marks=slow),
-        pytest.param(MAXIMISED, ROBUST, 5e-5, marks=slow),
-        pytest.param(
+        (MAXIMISED, "{}", 1e-5),
+        (MAXIMISED, ENTRIES, 5e-5),
+        (MAXIMISED, ROBUST, 5e-5),
+        (
             {
                 "hunger": "conditioned:1.0",
                 "curiosity_coefficient": "adaptive",
@@ -250,10 +250,10 @@ def test_on_a_gpu_compiled_updates_give_the_same_numbers_and_wait_for_nothing():
             },
             "{}",
             1e-5,
-            marks=slow,
         ),
     ],
 )
+@slow
 def test_compiled_and_eager_updates_give_the_same_numbers(options, bonus, within):
     assert error_of(options=options, bonus=bonus) < within
 
@@ -266,11 +266,12 @@ def test_the_compiled_gradient_of_a_bonus_in_the_action_is_the_eager_one():
 @pytest.mark.parametrize(
     "speed",
     [
-        pytest.param({"direct_matmul": False}, marks=slow),
-        pytest.param({"deduplicate": False}, marks=slow),
-        pytest.param({"direct_matmul": False, "deduplicate": False}, marks=slow),
+        {"direct_matmul": False},
+        {"deduplicate": False},
+        {"direct_matmul": False, "deduplicate": False},
     ],
 )
+@slow
 def test_switches_of_the_compiler_leave_the_results_as_they_are(speed):
     assert error_of(speed=speed) < 1e-5
 
@@ -295,7 +296,6 @@ def test_a_settled_graph_is_called_without_looking_it_up_and_refuses_other_shape
     assert refused == "True"
 
 
-@slow
 def test_what_a_graph_does_not_follow_cannot_be_set_and_the_rest_takes_effect():
     config, learning_rate, *effects = output_of(SEALED)
     assert config.startswith("`config` of this CuriousSAC is part of a compiled update")

@@ -825,10 +825,15 @@ def test_a_run_whose_folder_is_taken_over_writes_nothing_more(tiny, monkeypatch)
     assert [int(row["step"]) for row in rows(tiny.run.out)] == [40]
 
 
+SOON = {"total_steps": 34, "checkpoint_interval": 34, "evaluation_interval": 34}
+"""Enough updates of `tiny` for every setting to have its effect."""
+
+
 @pytest.fixture(scope="module")
 def unchanged(tiny_config, tmp_path_factory):
     """The weight that the settings of `tiny` lead to."""
-    return learned_weight(tiny_config.override(out=tmp_path_factory.mktemp("unchanged") / "run"))
+    out = tmp_path_factory.mktemp("unchanged") / "run"
+    return learned_weight(tiny_config.override(out=out, **SOON))
 
 
 @pytest.mark.parametrize(
@@ -883,7 +888,7 @@ def unchanged(tiny_config, tmp_path_factory):
     ids=str,
 )
 def test_every_setting_of_learning_changes_what_is_learned(tiny, unchanged, change):
-    weight = learned_weight(tiny.override(**change))
+    weight = learned_weight(tiny.override(**SOON, **change))
     assert weight.shape == unchanged.shape
     assert not torch.equal(weight, unchanged)
 
