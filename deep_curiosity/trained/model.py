@@ -21,6 +21,7 @@ from deep_curiosity.trained.policy import (
     task_spaces,
 )
 from deep_curiosity.trained.source import Trained, read_trained
+from deep_curiosity.training.checkpoint import load_weights
 from deep_curiosity.training.parts import make_run_bonus
 from deep_curiosity.training.spaces import TaskSpaces
 from deep_curiosity.transitions import check_counts
@@ -175,5 +176,5 @@ def _make_bonus(trained: Trained) -> Bonus | None:
     """Bonus of a run with its weights, or `None` where it has none."""
     bonus = make_run_bonus(trained.config, *sizes(trained), trained.spaces)
     if bonus is not None:
-        bonus.load_state_dict(trained.bonus)
+        load_weights(bonus, trained.bonus, trained.folder)
     return bonus

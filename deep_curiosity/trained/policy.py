@@ -13,6 +13,7 @@ from deep_curiosity.agent.config import ConditionedHunger
 from deep_curiosity.agent.networks import GaussianPolicy
 from deep_curiosity.nn.statistics import InputScaling
 from deep_curiosity.trained.source import Trained, Weights, read_trained
+from deep_curiosity.training.checkpoint import load_weights
 from deep_curiosity.training.hunger import battery_hunger
 from deep_curiosity.training.spaces import SPACES, TaskSpaces
 from deep_curiosity.training.windows import first_window, next_window
@@ -183,7 +184,7 @@ def make_policy(trained: Trained) -> GaussianPolicy:
         mixture_components=components,
         hidden_dims=[weight.shape[-1] for weight in weights[:-1]],
     )
-    policy.load_state_dict(trained.policy)
+    load_weights(policy, trained.policy, trained.folder)
     policy.float()  # whatever the default is here
     return policy.eval().requires_grad_(False)
 

@@ -5,12 +5,13 @@ import os
 import secrets
 import warnings
 import zipfile
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
 import torch
+from torch import Tensor, nn
 
 from deep_curiosity.training.lease import LeaseError
 
@@ -124,6 +125,27 @@ def load_checkpoint(
         f"`{argument}` must name a folder with a readable checkpoint, got {folder}: "
         f"{'; '.join(damage) or 'it holds none'}."
     )
+
+
+def load_weights(part: nn.Module, weights: Mapping[str, Tensor], folder: Path) -> None:
+    """Give a part, of the sizes that settings say, the weights that were kept beside them.
+
+    Args:
+        part: Receives them.
+        weights: Of the same part, as it was when they were written.
+        folder: Of the run, for errors.
+
+    Raises:
+        ValueError: If they are of other sizes: the settings are no longer those of the run.
+    """
+    try:
+        part.load_state_dict(weights)
+    except RuntimeError as error:
+        kind, *reasons = str(error).splitlines()  # one for every tensor
+        raise ValueError(
+            f"`config.json` in {folder} must hold the settings that the weights beside it were "
+            f"learned with, got others: {(reasons or [kind])[0].strip()}"
+        ) from None
 
 
 def has_checkpoint(folder: Path) -> bool:

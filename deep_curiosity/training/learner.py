@@ -15,6 +15,7 @@ from deep_curiosity.schedules import Schedule
 from deep_curiosity.speed.compile import compiled
 from deep_curiosity.speed.machine import EAGER_UPDATES, should_compile
 from deep_curiosity.speed.numpy_policy import NumpyPolicy
+from deep_curiosity.training.checkpoint import load_weights
 from deep_curiosity.training.collector import Step, as_batch
 from deep_curiosity.training.config import Config
 from deep_curiosity.training.exploration import Noise, make_noise
@@ -297,12 +298,17 @@ class Learner:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore what `state_dict` gave."""
-        self.agent.load_state_dict(state["agent"])
+        """Restore what `state_dict` gave.
+
+        Raises:
+            ValueError: If a part has other sizes now.
+        """
+        folder = self.config.run.out
+        load_weights(self.agent, state["agent"], folder)
         if self.bonus is not None:
-            self.bonus.load_state_dict(state["bonus"])
+            load_weights(self.bonus, state["bonus"], folder)
         if self.bonus_optimizer is not None:
-            self.bonus_optimizer.load_state_dict(state["bonus_optimizer"])
+            load_weights(self.bonus_optimizer, state["bonus_optimizer"], folder)
         if self.noise is not None:
             self.noise.load_state_dict(state["noise"])
         self.hunger_controller.load_state_dict(state["hunger"])

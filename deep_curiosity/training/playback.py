@@ -17,7 +17,7 @@ from deep_curiosity.agent.config import ConditionedHunger
 from deep_curiosity.agent.sac import CuriousSAC
 from deep_curiosity.arguments import check_file
 from deep_curiosity.requirements import require
-from deep_curiosity.training.checkpoint import load_checkpoint
+from deep_curiosity.training.checkpoint import load_checkpoint, load_weights
 from deep_curiosity.training.collector import Collector, Episode, as_batch
 from deep_curiosity.training.config import Config, EnvironmentConfig
 from deep_curiosity.training.divergence import DivergedError, broken_weight
@@ -34,6 +34,7 @@ def load_agent(folder: Path, config: Config, environment: gymnasium.Env) -> Curi
     Raises:
         DivergedError: If its policy is not finite.
         FileNotFoundError: If the folder holds no readable checkpoint.
+        ValueError: If the settings are not those of the run.
     """
     return _agent_of(load_checkpoint(folder), folder, config, environment)
 
@@ -42,7 +43,7 @@ def _agent_of(
     state: dict[str, Any], folder: Path, config: Config, environment: gymnasium.Env
 ) -> CuriousSAC:
     agent = make_agent(config, observation_dim(environment), action_dim(environment))
-    agent.load_state_dict(state["learner"]["agent"])
+    load_weights(agent, state["learner"]["agent"], folder)
     broken = broken_weight(policy=agent.policy)
     if broken is not None:
         raise DivergedError(f"{broken}, in the checkpoint in {folder}: the run has diverged.")

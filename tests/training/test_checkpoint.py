@@ -7,7 +7,13 @@ import pytest
 import torch
 
 from deep_curiosity.training import checkpoint
-from deep_curiosity.training.checkpoint import NEWEST, PREVIOUS, load_checkpoint, save_checkpoint
+from deep_curiosity.training.checkpoint import (
+    NEWEST,
+    PREVIOUS,
+    load_checkpoint,
+    load_weights,
+    save_checkpoint,
+)
 from deep_curiosity.training.lease import LeaseError
 
 
@@ -38,6 +44,14 @@ def test_without_a_readable_one_the_damage_is_told(tmp_path):
     (tmp_path / PREVIOUS).write_bytes(b"")
     with pytest.raises(FileNotFoundError, match=rf"{NEWEST} is damaged .*; .*{PREVIOUS} is dam"):
         load_checkpoint(tmp_path)
+
+
+def test_weights_of_another_size_are_refused_in_a_line(tmp_path):
+    kept, part = torch.nn.Linear(2, 3).state_dict(), torch.nn.Linear(2, 4)
+    with pytest.raises(ValueError, match=r"^`config\.json` in .*: size mismatch for weight.*\.$"):
+        load_weights(part, kept, tmp_path)
+    with pytest.raises(ValueError, match=r'got others: Missing key\(s\) in state_dict: "bias"'):
+        load_weights(torch.nn.Linear(2, 3), {"weight": kept["weight"]}, tmp_path)
 
 
 def flipped(content, bit):

@@ -2,6 +2,7 @@ import json
 import os
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 
 import gymnasium
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 import torch
 
+from deep_curiosity import load_bonus
 from deep_curiosity.replay import ReplayBuffer
 from deep_curiosity.training import Config, continue_run, train
 from deep_curiosity.training.config import EnvironmentConfig
@@ -175,6 +177,7 @@ def test_peak_memory_is_above_what_is_resident():
 
 MANY_RUNS = """
 import sys
+from functools import partial
 from pathlib import Path
 import torch
 from deep_curiosity.training import Config, train
@@ -270,3 +273,13 @@ def test_training_and_evaluations_never_share_an_environment(tiny):
     config = Config.of(out=tiny.run.out, total_steps=60, learning_starts=20)
     with pytest.raises(ValueError, match="`make_env` must make a new environment at every call"):
         train(config, make_env=lambda: one, show_progress=False)
+
+
+def test_settings_that_were_changed_by_hand_are_told_from_weights_of_another_size(tiny):
+    config = tiny.override(bonus="rnd")
+    train(config, show_progress=False)
+    path = config.run.out / "config.json"
+    path.write_text(path.read_text().replace('"hidden_dim": 16', '"hidden_dim": 24'))
+    for use in (partial(continue_run, total_steps=70), load_bonus):
+        with pytest.raises(ValueError, match=r"^`config\.json` in .* size mismatch for "):
+            use(config.run.out)
