@@ -15,9 +15,8 @@ class GreedyStretches:
 
     Args:
         num_envs: Number of environments.
-        length: Mean length of a stretch of the kind that acts less often, in steps, of curious
-            ones above a share of one half: where they are few they still lead somewhere, and do
-            not break off the greedy ones at every turn.
+        length: Mean length of a greedy stretch, in steps; longer where the share asks for it,
+            since a curious stretch has one step at least.
 
     Reference: Pislar et al., "When should agents explore?" (2022), on switching within episodes.
     """
@@ -38,7 +37,7 @@ class GreedyStretches:
         if share == 0:
             return
         odds = share / (1 - share)
-        stop = 1 / (self.length * max(1.0, odds))
+        stop = 1 / max(self.length, odds)
         chance = torch.rand(len(ended)).numpy()
         stays = self.is_greedy & ~ended
         threshold = np.where(ended, share, np.where(stays, 1 - stop, stop * odds))
