@@ -145,7 +145,8 @@ class CuriousAgent(Learner):
 
         temperature = self.temperature(self.step)
         temperatures = [factor * temperature for factor in self.annealing]
-        self.log_policy = anneal(solve, self.log_policy, temperatures).log_policy
+        solution = anneal(solve, self.log_policy, temperatures, recomputed=rows)
+        self.log_policy = solution.log_policy
 
     def act(self, state: int, rng: np.random.Generator) -> int:
         """Step 2(d): plans if a plan is due, and samples an action."""

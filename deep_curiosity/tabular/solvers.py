@@ -1,6 +1,7 @@
 """The policy that solves (21) with (20): at one time step, and for its own stationary states."""
 
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 
 import numpy as np
 from jaxtyping import Bool, Float
@@ -111,7 +112,7 @@ def maximize(
         )
         return np.where(recomputed[:, None], updated, log_policy), objective
 
-    return iterate(
+    solution = iterate(
         step,
         log_policy,
         damping=safe_damping(temperature) if damping is None else damping,
@@ -119,6 +120,8 @@ def maximize(
         tolerance=tolerance,
         max_iterations=max_iterations,
     )
+    kept = np.where(recomputed[:, None], solution.log_policy, log_policy)  # not even rounded
+    return replace(solution, log_policy=kept)
 
 
 @checked
@@ -219,23 +222,29 @@ def anneal(
     solve: Callable[[Float[np.ndarray, "states actions"], float], Solution],
     log_policy: Float[np.ndarray, "states actions"],
     temperatures: Iterable[float],
+    *,
+    recomputed: Bool[np.ndarray, " states"] | None = None,
 ) -> Solution:
     """Deterministic annealing: solves at each temperature from the previous solution.
 
     A uniform share is mixed into every initial policy, since an action whose probability
-    vanished at a high temperature may be optimal at a low one.
+    vanished at a high temperature may be optimal at a low one; where the policy does not change,
+    nothing is mixed in.
 
     Args:
         solve: Maps a log policy and a temperature to a solution.
         log_policy: Initial log policy.
         temperatures: Temperatures, falling.
+        recomputed: The states in which `solve` changes the policy, by default all.
 
     Returns:
         The solution at the last temperature.
     """
+    changes = np.ones(len(log_policy), bool) if recomputed is None else recomputed
     solution = None
     for temperature in temperatures:
-        solution = solve(mix_uniform(log_policy), temperature)
+        mixed = np.where(changes[:, None], mix_uniform(log_policy), log_policy)
+        solution = solve(mixed, temperature)
         log_policy = solution.log_policy
     if solution is None:
         raise ValueError("`temperatures` must name at least one temperature, got none.")

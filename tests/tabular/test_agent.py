@@ -23,7 +23,7 @@ from deep_curiosity.tabular.markov import (
     optimal_action_values,
     stationary_distribution,
 )
-from deep_curiosity.tabular.policies import greedy
+from deep_curiosity.tabular.policies import greedy, random_log_policy
 from deep_curiosity.tabular.schedules import decreasing, fixed
 from deep_curiosity.tabular.solvers import solve_stationary
 
@@ -165,6 +165,17 @@ def test_planning_at_the_current_state_changes_no_other():
     agent.plan(0)
     np.testing.assert_allclose(agent.policy[1:], 0.25, atol=1e-12)
     assert agent.policy[0].max() > 0.3
+
+
+def test_plans_at_the_current_state_leave_every_other_to_the_last_bit():
+    agent = exact_agent(only_current_state=True, annealing=(4.0, 1.0))
+    agent.log_policy = random_log_policy(*SHAPE, np.random.default_rng(0))
+    before = agent.log_policy
+    agent.plan(3)
+    agent.plan(3)
+    others = np.arange(SHAPE[0]) != 3
+    np.testing.assert_array_equal(agent.log_policy[others], before[others])
+    assert not np.allclose(agent.log_policy[3], before[3])
 
 
 def test_planning_at_the_current_state_finds_the_goal():
