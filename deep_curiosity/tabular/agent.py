@@ -7,9 +7,24 @@ from functools import partial
 import numpy as np
 from jaxtyping import Float
 
-from deep_curiosity.tabular.checks import check_at_least, check_index, checked
+from deep_curiosity.tabular.checks import (
+    check_at_least,
+    check_finite,
+    check_index,
+    check_number,
+    check_positive,
+    check_range,
+    check_shape,
+    checked,
+)
 from deep_curiosity.tabular.environments import FiniteMDP
-from deep_curiosity.tabular.estimators import ActionValues, Experience, Model, StateEstimate
+from deep_curiosity.tabular.estimators import (
+    ActionValues,
+    Experience,
+    Model,
+    StateEstimate,
+    check_experience,
+)
 from deep_curiosity.tabular.iteration import Solution
 from deep_curiosity.tabular.policies import uniform_log_policy
 from deep_curiosity.tabular.solvers import anneal, solve_time_step
@@ -43,6 +58,7 @@ def run(
     state, history = sample(mdp.start, rng), []
     for _ in range(num_steps):
         action = learner.act(state, rng)
+        check_index("action", action, mdp.num_actions)
         next_state = sample(mdp.transition[state, action], rng)
         reward = float(mdp.reward[state, action])
         history.append(Experience(state, action, reward, next_state))
@@ -109,6 +125,13 @@ class CuriousAgent(Learner):
         max_iterations: int = 100,
     ) -> None:
         check_at_least("period", period, 1)
+        check_at_least("max_iterations", max_iterations, 1)
+        check_positive("tolerance", tolerance)
+        check_range("curiosity_discount", curiosity_discount, 0.0, 1.0)
+        if len(annealing) == 0:
+            raise ValueError("`annealing` must name at least one multiple, got none.")
+        for multiple in annealing:
+            check_positive("annealing", multiple)
         self.model, self.states, self.values = model, states, values
         self.temperature, self.hunger, self.annealing = temperature, hunger, annealing
         self.period, self.only_current_state = period, only_current_state
@@ -130,7 +153,7 @@ class CuriousAgent(Learner):
         """Steps 2(b) and 2(c): the policy for the current estimates."""
         transition, distribution = self.model.transition, self.states.distribution
         value = self.values.estimate(self.model, self.policy)
-        weighted_value = np.reshape(self.hunger(self.step), (-1, 1)) * value
+        weighted_value = _column(self.hunger(self.step), len(value)) * value
         rows = np.arange(len(value)) == state if self.only_current_state else None
 
         def solve(log_policy: np.ndarray, temperature: float) -> Solution:
@@ -144,6 +167,7 @@ class CuriousAgent(Learner):
             )
 
         temperature = self.temperature(self.step)
+        check_positive("temperature", temperature)
         temperatures = [factor * temperature for factor in self.annealing]
         solution = anneal(solve, self.log_policy, temperatures, recomputed=rows)
         self.log_policy = solution.log_policy
@@ -157,7 +181,25 @@ class CuriousAgent(Learner):
 
     def observe(self, experience: Experience) -> None:
         """Steps 2(e), 2(f) and 2(a): updates values, model and states by one time step."""
+        check_experience(experience, *self.log_policy.shape)
         self.values.observe(experience)
         self.model.observe(experience)
         self.states.observe(experience, self.model.transition, self.policy)
         self.step += 1
+
+
+def _column(
+    hunger: float | Float[np.ndarray, " states"], num_states: int
+) -> Float[np.ndarray, "some 1"]:
+    """What a schedule of hunger gives, as a column: one row, or one for each state.
+
+    Raises:
+        TypeError: If it is no number and no array.
+        ValueError: If an entry is not finite, or there are not as many as states.
+    """
+    if isinstance(hunger, np.ndarray):
+        check_shape("hunger", hunger, (num_states,))
+    else:
+        check_number("hunger", hunger)
+    check_finite("hunger", np.asarray(hunger))
+    return np.reshape(hunger, (-1, 1))

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from deep_curiosity.tabular.checks import check_at_least, check_positive, check_range, checked
-from deep_curiosity.tabular.policies import normalize_log
+from deep_curiosity.tabular.policies import COLDEST, normalize_log
 
 LONGEST_CYCLE = 8  # number of policies kept to recognise a cycle
 
@@ -46,6 +46,7 @@ def safe_damping(temperature: float) -> float:
     :math:`\eta = \lambda / (1 + \lambda)`. As written, with :math:`\eta = 1`, it may overshoot.
     """
     check_positive("temperature", temperature)
+    temperature = max(temperature, COLDEST)
     return temperature / (1 + temperature)
 
 
@@ -81,6 +82,8 @@ def iterate(
 ) -> Solution:
     """Repeats an update of the log policy until it converges, cycles or runs out of iterations.
 
+    A policy that is no number ends it as well: nothing could come of it.
+
     Args:
         step: Maps a log policy to its undamped update and to the objective to trace.
         log_policy: Where to start.
@@ -98,10 +101,11 @@ def iterate(
         target, objective = step(log_policy)
         trace.append(objective)
         log_policy = damp(log_policy, target, damping)
+        is_number = not np.isnan(log_policy).any()
         changes = [np.abs(np.exp(log_policy) - policy).max() for policy in recent]
         recent.appendleft(np.exp(log_policy))
         converged, cycles = changes[0] <= tolerance, _cycles(changes, tolerance)
-        if converged or cycles:
+        if converged or cycles or not is_number:
             break
         if halving and turns_back(recent):
             damping, tolerance = damping / 2, tolerance / 2

@@ -7,6 +7,7 @@ from deep_curiosity.tabular.checks import check_at_least, check_positive, check_
 
 UNIFORM_SHARE = 1e-3  # probability divided over all actions
 TIE_TOLERANCE = 1e-9  # scores are sums of logs, exact to about 1e-13 of their size
+COLDEST = 1e-290  # what is colder is the limit (22) as well, and a score over it overflows
 
 
 @checked
@@ -54,7 +55,8 @@ def information_limited(
 
     .. math:: \pi(a | x) \propto p(a) \exp(s(x, a) / \lambda)
 
-    Actions of infinite score take all probability, weighted among themselves by the prior.
+    Actions of infinite score take all probability, weighted among themselves by the prior. What
+    the prior rules out stays ruled out, whatever its score.
 
     Args:
         log_prior: Log of the action marginal.
@@ -62,9 +64,8 @@ def information_limited(
         temperature: The price lambda.
     """
     check_positive("temperature", temperature)
-    infinite = np.isposinf(score).any(-1, keepdims=True)
-    tilt = np.where(infinite, np.where(np.isposinf(score), 0, -np.inf), score / temperature)
-    return normalize_log(log_prior + tilt)
+    possible = np.where(np.isneginf(log_prior), -np.inf, score)
+    return normalize_log(log_prior + tilt(possible, temperature))
 
 
 @checked
@@ -73,7 +74,22 @@ def boltzmann(
 ) -> Float[np.ndarray, "states actions"]:
     """Log of the policy that is optimal at a price per nat of missing entropy: plain softmax."""
     check_positive("temperature", temperature)
-    return normalize_log(score / temperature)
+    return normalize_log(tilt(score, temperature))
+
+
+@checked
+def tilt(
+    score: Float[np.ndarray, "*batch actions"], temperature: float
+) -> Float[np.ndarray, "*batch actions"]:
+    """Score over temperature, less that of the best action: zero there, and nowhere above.
+
+    Taken from the best before the division, it stays a number however cold it is, and where the
+    best score is infinite.
+    """
+    check_positive("temperature", temperature)
+    best = score.max(-1, keepdims=True)
+    shortfall = np.subtract(score, best, where=score != best, out=np.zeros(score.shape))
+    return shortfall / max(temperature, COLDEST)
 
 
 @checked

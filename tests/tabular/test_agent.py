@@ -13,6 +13,7 @@ from deep_curiosity.tabular.estimators import (
     CountedModel,
     ExactModel,
     ExactValues,
+    Experience,
     PropagatedStates,
     QLearning,
     Sarsa,
@@ -248,6 +249,61 @@ def test_unreliable_state_is_left_to_chance():
     left = [step.next_state for step in history if step.state == 1]
     assert np.mean(left) == pytest.approx(0.5, abs=0.05)
     assert all(step.next_state == 1 for step in history if step.state == 0)
+
+
+@pytest.mark.parametrize("temperature", [1e-308, 5e-324])
+def test_agent_may_be_as_cold_as_a_number_can_be(temperature):
+    agent = exact_agent(temperature=fixed(temperature))
+    run_agent(agent, 30)
+    assert reward_per_step(agent.policy) > 0.99 * BEST
+
+
+@pytest.mark.parametrize(
+    ("schedules", "message"),
+    [
+        ({"hunger": fixed(float("nan"))}, "`hunger` must be a number, got nan"),
+        ({"hunger": fixed(float("inf"))}, "`hunger` must be finite, got inf"),
+        ({"hunger": fixed(np.full(SHAPE[0], np.nan))}, "`hunger` must be finite, got nan"),
+        ({"hunger": fixed(np.ones(4))}, r"`hunger` must have shape \(16,\), got \(4,\)"),
+        ({"temperature": fixed(0.0)}, "`temperature` must be positive and finite, got 0.0"),
+        ({"temperature": fixed(float("nan"))}, "`temperature` must be a number, got nan"),
+    ],
+)
+def test_a_schedule_that_gives_no_sound_number_is_named(schedules, message):
+    with pytest.raises(ValueError, match=message):
+        run_agent(exact_agent(**schedules), 1)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"tolerance": -1.0}, "`tolerance` must be positive"),
+        ({"max_iterations": 0}, "`max_iterations` must be at least 1, got 0"),
+        ({"curiosity_discount": 7.0}, r"`curiosity_discount` must lie in \[0.0, 1.0\], got 7.0"),
+        ({"annealing": (2.0, -1.0)}, "`annealing` must be positive and finite, got -1.0"),
+        ({"annealing": ()}, "`annealing` must name at least one multiple, got none"),
+    ],
+)
+def test_settings_of_an_agent_are_checked_when_it_is_made(options, message):
+    with pytest.raises(ValueError, match=message):
+        exact_agent(**options)
+
+
+def test_an_action_that_an_environment_does_not_have_is_named():
+    mdp = reliable_unreliable()
+    with pytest.raises(ValueError, match=r"`action` must lie in \[0, 1\], got 2"):
+        run_agent(FixedPolicy(np.eye(3)[[2, 2]]), 1, mdp=mdp)
+
+
+@pytest.mark.parametrize("experience", [Experience(99, 0, 0.0, 0), Experience(0, 0, 0.0, -1)])
+def test_an_agent_refuses_what_cannot_have_happened(experience):
+    with pytest.raises(ValueError, match="state` must lie in"):
+        exact_agent().observe(experience)
+
+
+def test_an_agent_learns_from_nothing_but_an_experience():
+    with pytest.raises(TypeError, match="`experience` must be an Experience"):
+        exact_agent().observe((0, 0, 0.0, 0))
 
 
 def test_period_of_zero_is_rejected():

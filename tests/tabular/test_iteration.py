@@ -60,6 +60,18 @@ def test_iteration_that_runs_out_has_neither_converged_nor_cycled():
     assert solution.objective.shape == (4,)
 
 
+def test_iteration_ends_at_the_first_policy_that_is_no_number():
+    seen = []
+
+    def step(log_policy):
+        seen.append(log_policy)
+        return np.full((1, 2), np.nan), 0.0
+
+    with pytest.raises(ValueError, match="finite answer"):
+        iterate(step, HALF, damping=1.0)
+    assert len(seen) == 2  # one update, and the objective where it led
+
+
 def test_halving_stops_an_overshoot():
     def overshoot(log_policy):
         return normalize_log(log_policy + 2.2 * (MIDDLE - log_policy)), 0.0

@@ -49,6 +49,21 @@ def test_hot_policy_is_the_prior_and_cold_policy_is_greedy():
     )
 
 
+@pytest.mark.parametrize("temperature", [1e-300, 1e-308, 5e-324])
+def test_however_cold_a_policy_is_the_limit_with_ties_by_the_prior(temperature):
+    prior = np.array([0.2, 0.2, 0.6])
+    policy = np.exp(information_limited(np.log(prior), SCORE, temperature))
+    np.testing.assert_allclose(policy, [[0, 0.25, 0.75], [1, 0, 0]])
+    np.testing.assert_array_equal(np.exp(boltzmann(SCORE, temperature)), greedy(SCORE))
+
+
+@pytest.mark.parametrize("score", [SCORE, np.array([[1.0, 2.0, np.inf]])])
+def test_what_the_prior_rules_out_stays_ruled_out(score):
+    log_prior = np.array([np.log(0.5), np.log(0.5), -np.inf])
+    policy = np.exp(information_limited(log_prior, score, 1e-3))
+    np.testing.assert_allclose(policy[0], [0, 1, 0], atol=1e-12)
+
+
 def test_ties_go_by_the_prior_at_any_temperature_but_equally_in_the_limit():
     prior = np.array([0.2, 0.2, 0.6])
     cold = np.exp(information_limited(np.log(prior), SCORE, 1e-3))
