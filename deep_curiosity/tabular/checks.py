@@ -13,10 +13,15 @@ import numpy as np
 from jaxtyping import AbstractArray, Float
 
 SUM_TOLERANCE = 1e-8  # sums of a thousand float64 probabilities stray by about 1e-13
+ROUNDINGS = 10  # of each of the numbers that are summed, where these are less exact
 LARGEST_LOG = 1e-6  # of a probability, which rounding may bring above one
 MOST = 2**20  # of whatever is counted: a table of more has no place in memory
 MAY_BE_INFINITE = ("log_", "score", "value", "divergence", "target")  # beginnings of names
-DISTRIBUTIONS = ("transition", "policy", "log_policy", "state_distribution", "start", "chain")
+DISTRIBUTIONS = (
+    *("transition", "policy", "log_policy", "state_distribution", "start", "chain"),
+    *("probability", "distribution", "channel"),
+)
+INFINITE_ANSWERS = ("kl_divergence", "curiosity", "curious_score")  # where nothing leads, say
 
 Parameters = ParamSpec("Parameters")
 Answer = TypeVar("Answer")
@@ -125,16 +130,22 @@ def check_finite(name: str, array: np.ndarray) -> None:
         raise ValueError(f"`{name}` must be finite, got {array[~np.isfinite(array)][0]}.")
 
 
+def check_not_negative(name: str, array: np.ndarray) -> None:
+    """Raises if an entry of `array` is negative."""
+    if array.min() < 0:
+        raise ValueError(f"`{name}` must not be negative, got {array.min()}.")
+
+
 def check_distribution(name: str, probability: Float[np.ndarray, "*batch outcomes"]) -> None:
     """Raises unless `probability` is non-negative and sums to one along its last axis."""
     check_finite(name, probability)
     if probability.size == 0:
         raise ValueError(f"`{name}` must have an outcome, got shape {probability.shape}.")
-    if probability.min() < 0:
-        raise ValueError(f"`{name}` must not be negative, got {probability.min()}.")
+    check_not_negative(name, probability)
     total = probability.sum(-1)
     worst = total.flat[np.abs(total - 1).argmax()]
-    if abs(worst - 1) > SUM_TOLERANCE:
+    precision = np.finfo(np.result_type(probability, np.float16)).eps  # of whole numbers too
+    if abs(worst - 1) > max(SUM_TOLERANCE, ROUNDINGS * probability.shape[-1] * precision):
         raise ValueError(f"`{name}` must sum to 1 along its last axis, got {worst}.")
 
 
@@ -200,6 +211,8 @@ def _check_entries(name: str, value: np.ndarray) -> None:
         raise ValueError(f"`{name}` must hold numbers, got nan.")
     if name in DISTRIBUTIONS:
         check_distribution(name, np.exp(value) if name.startswith("log_") else value)
+    if name == "weight":
+        check_not_negative(name, value)
     if name.startswith("log_") and name != "log_weight" and value.max() > LARGEST_LOG:
         raise ValueError(
             f"`{name}` must hold logs of probabilities, at most 0, got {value.max()}."
@@ -215,7 +228,7 @@ def _check_answer(function: str, answer: Any, given: Mapping[str, Any]) -> None:
     if not isinstance(answer, float | np.ndarray) or np.asarray(answer).dtype.kind != "f":
         return
     sizes = {name: _largest(value) for name, value in given.items()}
-    may_be_infinite = "log" in function or function in ("kl_divergence", "curiosity")
+    may_be_infinite = "log" in function or function in INFINITE_ANSWERS
     is_sound = not np.isnan(answer).any() and (
         may_be_infinite or np.isfinite(answer).all() or not np.isfinite([*sizes.values()]).all()
     )

@@ -21,19 +21,19 @@ def to_nats(bits: float) -> float:
 
 
 @checked
-def safe_log(probability: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
+def safe_log(weight: Float[np.ndarray, "*shape"]) -> Float[np.ndarray, "*shape"]:
     """Logarithm that is minus infinity at zero, without a warning."""
-    return np.log(probability, where=probability > 0, out=np.full(probability.shape, -np.inf))
+    return np.log(weight, where=weight > 0, out=np.full(weight.shape, -np.inf))
 
 
 @checked
 def weighted_sum(
-    probability: Float[np.ndarray, "*batch outcomes"], value: Float[np.ndarray, "*rest outcomes"]
+    weight: Float[np.ndarray, "*batch outcomes"], value: Float[np.ndarray, "*rest outcomes"]
 ) -> Float[np.ndarray, "*batch"]:
     """Expectation over the last axis in which zero times infinity is zero."""
-    check_fits("value", value, probability)
-    product = np.zeros(np.broadcast_shapes(probability.shape, value.shape))
-    np.multiply(probability, value, where=probability > 0, out=product)
+    check_fits("value", value, weight)
+    product = np.zeros(np.broadcast_shapes(weight.shape, value.shape))
+    np.multiply(weight, value, where=weight > 0, out=product)
     return np.asarray(product.sum(-1))
 
 

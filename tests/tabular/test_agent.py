@@ -237,6 +237,12 @@ def test_samples_follow_the_probabilities():
     assert counts[1] == 0 and counts[0] / 5_000 == pytest.approx(0.2, abs=0.02)
 
 
+@pytest.mark.parametrize("probability", [np.zeros(3), np.array([-1.0, 0.5, 0.5])])
+def test_what_is_no_distribution_is_not_sampled(probability):
+    with pytest.raises(ValueError, match="`probability` must"):
+        sample(probability, np.random.default_rng(0))
+
+
 def test_same_seed_gives_the_same_transitions():
     first, second = (run_agent(FixedPolicy(np.full(SHAPE, 0.25)), 50, seed=3) for _ in range(2))
     assert first == second

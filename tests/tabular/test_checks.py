@@ -29,6 +29,17 @@ def test_error_names_argument_rule_and_value(check, arguments, message):
         check(*arguments)
 
 
+def test_a_distribution_may_be_as_inexact_as_its_numbers():
+    exact = np.random.default_rng(0).dirichlet(np.ones(300), size=200)
+    rounded = exact.astype(np.float32)
+    assert np.abs(rounded.sum(-1) - 1).max() > checks.SUM_TOLERANCE
+    checks.check_distribution("transition", rounded)
+    with pytest.raises(ValueError, match="must sum to 1"):
+        checks.check_distribution("transition", rounded * np.float32(1.01))
+    with pytest.raises(ValueError, match="must sum to 1"):
+        checks.check_distribution("transition", exact * (1 + 1e-7))
+
+
 def test_what_obeys_the_rules_passes():
     checks.check_positive("temperature", 0.1)
     checks.check_range("epsilon", 1.0, 0.0, 1.0)

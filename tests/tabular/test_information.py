@@ -15,6 +15,7 @@ from deep_curiosity.tabular.information import (
     state_predictive_information,
     to_bits,
     to_nats,
+    weighted_sum,
 )
 from deep_curiosity.tabular.policies import random_log_policy
 
@@ -111,3 +112,27 @@ def test_divergence_stays_finite_where_probabilities_underflow():
     log_marginal = log_next_state_marginal(transition, log_policy, np.array([1.0, 0.0]))
     divergence = curiosity(transition, log_marginal)
     np.testing.assert_allclose(divergence, [[0, 2000], [2000, 0]])
+
+
+HALVES, WRONG, NEGATIVE = np.full((2, 2), 0.5), np.array([0.2, 0.2]), np.array([2.0, -1.0])
+
+
+@pytest.mark.parametrize(
+    ("function", "arguments", "message"),
+    [
+        (entropy, (NEGATIVE,), "`probability` must not be negative, got -1.0"),
+        (kl_divergence, (WRONG, np.log([0.5, 0.5])), "`probability` must sum to 1.*got 0.4"),
+        (mutual_information, (NEGATIVE, HALVES), "`distribution` must not be negative"),
+        (mutual_information, (HALVES[0], 2 * HALVES), "`channel` must sum to 1.*got 2.0"),
+        (safe_log, (NEGATIVE,), "`weight` must not be negative, got -1.0"),
+        (weighted_sum, (NEGATIVE, np.ones(2)), "`weight` must not be negative, got -1.0"),
+    ],
+)
+def test_what_is_no_distribution_is_refused(function, arguments, message):
+    with pytest.raises(ValueError, match=message):
+        function(*arguments)
+
+
+def test_weights_need_not_sum_to_one():
+    assert safe_log(np.array([0.0, np.e])).tolist() == [-np.inf, 1]
+    assert weighted_sum(np.array([2.0, 0.0]), np.array([3.0, -np.inf])) == 6

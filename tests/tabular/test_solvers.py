@@ -4,6 +4,7 @@ import pytest
 from deep_curiosity.tabular.environments import (
     FLIP,
     STAY,
+    chain,
     clever_random,
     grid_world,
     random_mdp,
@@ -347,6 +348,13 @@ def test_only_the_recomputed_states_change():
     solution = solve_time_step(mdp.transition, start, mdp.start, temperature=0.3, recomputed=rows)
     np.testing.assert_allclose(solution.policy[~rows], np.exp(start)[~rows], atol=1e-12)
     assert not np.allclose(solution.policy[2], np.exp(start)[2])
+
+
+def test_a_start_in_one_state_makes_all_beyond_its_reach_infinitely_curious():
+    mdp = chain(8)
+    score = curious_score(mdp.transition, uniform_log_policy(8, 2), mdp.start)
+    np.testing.assert_array_equal(np.isposinf(score).any(1), np.arange(8) > 0)
+    assert np.isfinite(score[0]).all()
 
 
 def test_annealing_needs_a_temperature():
