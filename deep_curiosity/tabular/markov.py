@@ -3,10 +3,11 @@
 import numpy as np
 from jaxtyping import Float
 
-from deep_curiosity.tabular.checks import check_positive, check_range, check_shape, checked
+from deep_curiosity.tabular.checks import check_range, check_shape, checked
 from deep_curiosity.tabular.environments import LARGEST_DISCOUNT
 
 SMALLEST_CHANGE = 1e-15  # states that leak less than this a step count as closed
+VALUE_ROUNDING = 1e-14  # of values, as a share of the largest
 
 
 @checked
@@ -86,16 +87,22 @@ def optimal_action_values(
     transition: Float[np.ndarray, "states actions next_states"],
     reward: Float[np.ndarray, "states actions"],
     discount: float,
-    *,
-    tolerance: float = 1e-10,
 ) -> Float[np.ndarray, "states actions"]:
-    """Action values of the best policy, by value iteration to within `tolerance`."""
+    """Action values of the best policy, by policy iteration: exact up to rounding.
+
+    An action gives way only to one that is better by more than rounding, and no policy is tried
+    twice, so it ends at any discount and at any size of the reward.
+
+    Reference: Howard, "Dynamic programming and Markov processes" (1960).
+    """
     check_range("discount", discount, 0.0, LARGEST_DISCOUNT)
-    check_positive("tolerance", tolerance)
     check_shape("transition", transition, (*reward.shape, len(reward)))
-    action_value, error = reward, np.inf
-    while error > tolerance * (1 - discount):
-        updated = reward + discount * transition @ action_value.max(-1)
-        error = np.abs(updated - action_value).max()
-        action_value = updated
+    state, best, tried = np.arange(len(reward)), reward.argmax(-1), set[bytes]()
+    while best.tobytes() not in tried:
+        tried.add(best.tobytes())
+        policy = np.eye(reward.shape[1])[best]
+        action_value = action_values(transition, reward, policy, discount)
+        gain = action_value.max(-1) - action_value[state, best]
+        is_better = gain > VALUE_ROUNDING * np.abs(action_value).max()
+        best = np.where(is_better, action_value.argmax(-1), best)
     return action_value

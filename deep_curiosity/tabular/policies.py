@@ -6,7 +6,8 @@ from jaxtyping import Float
 from deep_curiosity.tabular.checks import check_at_least, check_positive, check_range, checked
 
 UNIFORM_SHARE = 1e-3  # probability divided over all actions
-TIE_TOLERANCE = 1e-9  # scores are sums of logs, exact to about 1e-13 of their size
+TIE_TOLERANCE = 1e-9  # of the range of the finite scores of a row
+SCORE_ROUNDING = 1e-13  # of the best score: scores are sums of logs, exact to about as much
 COLDEST = 1e-290  # what is colder is the limit (22) as well, and a score over it overflows
 
 
@@ -94,9 +95,17 @@ def tilt(
 
 @checked
 def greedy(score: Float[np.ndarray, "states actions"]) -> Float[np.ndarray, "states actions"]:
-    """Deterministic limits (15) and (22): the best action, ties shared equally."""
+    """Deterministic limits (15) and (22): the best action, ties shared equally.
+
+    What ties depends neither on the unit of the scores nor, but for rounding, on what they have in
+    common.
+    """
     best = score.max(-1, keepdims=True)
-    chosen = np.isclose(score, best, rtol=TIE_TOLERANCE, atol=TIE_TOLERANCE)
+    least = np.where(np.isfinite(score), score, best).min(-1, keepdims=True)
+    slack = np.zeros(best.shape)  # where the best is infinite
+    np.subtract(best, least, where=np.isfinite(best), out=slack)
+    slack = TIE_TOLERANCE * slack + SCORE_ROUNDING * np.nan_to_num(np.abs(best), posinf=0)
+    chosen = score >= best - slack
     return chosen / chosen.sum(-1, keepdims=True)
 
 

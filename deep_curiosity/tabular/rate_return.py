@@ -21,7 +21,7 @@ from deep_curiosity.tabular.information import (
 )
 from deep_curiosity.tabular.iteration import Solution, iterate
 from deep_curiosity.tabular.markov import expected_return
-from deep_curiosity.tabular.policies import greedy, information_limited, uniform_log_policy
+from deep_curiosity.tabular.policies import information_limited, uniform_log_policy
 
 NUM_BISECTIONS = 40  # each halves the bracket of log lambda
 RATE_TOLERANCE = 1e-6  # nats below the given rate that end the bisection
@@ -145,6 +145,8 @@ def zero_rate_point(
     state_distribution: Float[np.ndarray, " states"],
 ) -> RatePoint:
     """The start of the curve: the best constant policy, at rate zero."""
-    policy = np.tile(greedy((state_distribution @ action_value)[None]), (len(action_value), 1))
+    num_states, num_actions = action_value.shape
+    best = (state_distribution @ action_value).argmax()
+    policy = np.tile(np.eye(num_actions)[best], (num_states, 1))
     value = expected_return(state_distribution, policy, action_value)
     return RatePoint(float(np.inf), 0.0, value, policy)

@@ -3,7 +3,7 @@ import itertools
 import numpy as np
 import pytest
 
-from deep_curiosity.tabular.environments import STAY, random_mdp, reliable_unreliable
+from deep_curiosity.tabular.environments import STAY, grid_world, random_mdp, reliable_unreliable
 from deep_curiosity.tabular.markov import (
     action_values,
     expected_return,
@@ -89,7 +89,7 @@ def test_expected_return_weighs_states_and_actions():
     assert value == pytest.approx(0.25 * 4 + 0.75 * 8)
 
 
-def test_value_iteration_finds_the_best_deterministic_policy():
+def test_policy_iteration_finds_the_best_deterministic_policy():
     mdp = random_mdp(3, 2, np.random.default_rng(5))
     policies = (np.eye(2)[list(choice)] for choice in itertools.product((0, 1), repeat=3))
     best = np.max(
@@ -97,6 +97,23 @@ def test_value_iteration_finds_the_best_deterministic_policy():
     )
     optimal = optimal_action_values(mdp.transition, mdp.reward, 0.9)
     np.testing.assert_allclose(optimal, best, atol=1e-9)
+
+
+@pytest.mark.parametrize("discount", [0.0, 0.9, 0.99999, 1 - 1e-9])
+@pytest.mark.parametrize("size", [1.0, 1e6, 1e-6])
+def test_best_values_are_those_of_the_best_next_action_to_rounding(discount, size):
+    mdp = grid_world()
+    values = optimal_action_values(mdp.transition, size * mdp.reward, discount)
+    backup = size * mdp.reward + discount * mdp.transition @ values.max(-1)
+    np.testing.assert_allclose(values, backup, rtol=1e-14 / (1 - discount), atol=1e-300)
+
+
+def test_equal_actions_do_not_keep_the_best_values_from_being_found():
+    noise = np.random.default_rng(0).dirichlet(np.ones(6), size=6)
+    transition = np.repeat(noise[:, None], 4, axis=1)
+    reward = np.repeat(np.random.default_rng(1).normal(size=(6, 1)), 4, axis=1)
+    values = optimal_action_values(transition, reward, 1 - 1e-7)
+    assert np.ptp(values, axis=1).max() <= 1e-13 * np.abs(values).max()
 
 
 def test_discount_of_one_is_rejected():

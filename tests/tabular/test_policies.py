@@ -79,6 +79,22 @@ def test_infinite_score_takes_all_probability():
     np.testing.assert_array_equal(greedy(score)[0], [0.5, 0, 0.5])
 
 
+@pytest.mark.parametrize("unit", [1e-12, 1.0, 1e12])
+@pytest.mark.parametrize("common", [0.0, -1e3, 1e3])
+def test_what_ties_depends_neither_on_the_unit_nor_on_what_scores_have_in_common(unit, common):
+    scores = unit * (common + np.array([[1.0, 2.0, 2.0 + 1e-11], [0.0, 1.0, 1.0 - 1e-6]]))
+    np.testing.assert_array_equal(greedy(scores), [[0, 0.5, 0.5], [0, 1, 0]])
+
+
+def test_a_little_more_than_a_large_number_is_no_tie():
+    np.testing.assert_array_equal(greedy(1e9 + np.array([[0.0, 1.0]])), [[0, 1]])
+
+
+def test_scores_that_are_all_minus_infinity_tie():
+    np.testing.assert_array_equal(greedy(np.full((1, 2), -np.inf)), [[0.5, 0.5]])
+    np.testing.assert_array_equal(greedy(np.array([[-np.inf, 1.0, 2.0]])), [[0, 0, 1]])
+
+
 def test_logs_survive_where_exponentials_do_not():
     log_policy = information_limited(np.log([0.5, 0.5]), np.array([[0.0, 1e6]]), 1e-3)
     np.testing.assert_allclose(log_policy, [[-1e9, 0]])

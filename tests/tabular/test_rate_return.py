@@ -6,6 +6,7 @@ from deep_curiosity.tabular.rate_return import (
     largest_return,
     rate_return_curve,
     solve_rate_limited,
+    zero_rate_point,
 )
 
 
@@ -96,6 +97,14 @@ def test_dual_at_rate_zero_is_its_best_constant_action():
     point = largest_return(action_value, states, 0.0)
     assert point.rate == pytest.approx(0)
     assert point.value == pytest.approx((states @ action_value).max())
+
+
+@pytest.mark.parametrize(("size", "offset"), [(1.0, 0.0), (1e-10, 0.0), (1.0, 1e9), (1e10, 0.0)])
+def test_the_best_constant_action_is_so_in_any_unit_and_beside_any_constant(size, offset):
+    action_value = size * np.array([[0.0, 1.0], [0.0, 1.0]]) + offset
+    point = zero_rate_point(action_value, np.array([0.5, 0.5]))
+    np.testing.assert_array_equal(point.policy, [[0, 1], [0, 1]])
+    assert point.value == size + offset
 
 
 def test_dual_at_a_free_rate_is_greedy():
