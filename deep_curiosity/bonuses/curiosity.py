@@ -76,8 +76,8 @@ class CuriosityBonus(Bonus):
             all members are used all the same.
         marginal: Density of the next states that one usually ends up in, over what the dynamics
             predict, or over the `entries` of it.
-        weight: Factor of the standardised bonus. 0.1 suffices where there is no other signal and
-            does no harm where there is one.
+        weight: Factor of the standardised bonus. 0.1 suffices where there is no other signal; what
+            it costs where reward is dense stands in docs/results.
         center: Subtract the running mean. Ending an episode is then worth as much as an average
             step: neither bait nor threat.
         scale: Divide by the running standard deviation; without it the bonus is in nats.
