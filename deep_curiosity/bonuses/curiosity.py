@@ -1,6 +1,7 @@
 """Curiosity as predictive power: how far an action leads from where one usually ends up."""
 
 import math
+import numbers
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -27,6 +28,7 @@ from deep_curiosity.transitions import (
     check_inputs,
     check_transition,
     every_second,
+    is_number,
 )
 
 LEAST_COMPONENTS = 16  # of the marginal, below which what was measured before tells nothing
@@ -127,9 +129,9 @@ class CuriosityBonus(Bonus):
         self.action_dim = dynamics.action_dim
         self.coefficients = coefficients_of(parts)
         self.dynamics = dynamics
-        chosen = None if entries is None else check_entries(entries, dynamics.predicted_dim)
-        self.entries = chosen
-        _check_marginal(marginal, dynamics.predicted_dim if chosen is None else len(chosen))
+        dim = dynamics.predicted_dim
+        self.entries = None if entries is None else check_entries(entries, dim, "entries")
+        _check_marginal(marginal, dim if self.entries is None else len(self.entries))
         self.marginal = marginal
         self.standardization = Standardization(weight=weight, center=center, scale=scale)
         self.tuned_weight = _make_tuned_weight(tune_weight, weight_learning_rate)
@@ -445,16 +447,25 @@ class CuriosityBonus(Bonus):
         return prediction.mean(share).mean()
 
 
-def check_entries(entries: Sequence[int], dim: int) -> list[int]:
+def check_entries(entries: Sequence[int], dim: int, name: str = "features") -> list[int]:
     """Indices of entries, counted from the front.
 
+    Args:
+        entries: The indices, from the end where negative.
+        dim: Number of entries that there are.
+        name: The argument that they were given by.
+
     Raises:
+        TypeError: If one is no whole number.
         ValueError: If there is none, or one is no entry of `dim` or named twice.
     """
+    for index in entries:
+        if isinstance(index, bool) or not isinstance(index, numbers.Integral):
+            raise TypeError(f"`{name}` must be whole numbers, got {index!r}.")
     valid = all(-dim <= index < dim for index in entries)
     chosen = [index % dim for index in entries]
     if not chosen or not valid or len(set(chosen)) < len(chosen):
-        raise ValueError(f"`features` must name different entries of {dim}, got {list(entries)}.")
+        raise ValueError(f"`{name}` must name different entries of {dim}, got {list(entries)}.")
     return chosen
 
 
@@ -471,5 +482,7 @@ def _make_tuned_weight(
 ) -> TunedWeight | None:
     if tune_weight is None:
         return None
+    if tune_weight != "past" and not is_number(tune_weight):
+        raise ValueError(f"`tune_weight` must be 'past', a number or None, got {tune_weight!r}.")
     goal = None if tune_weight == "past" else tune_weight
     return TunedWeight(goal=goal, learning_rate=learning_rate)

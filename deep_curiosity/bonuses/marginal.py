@@ -85,7 +85,12 @@ class NextStateMarginal(nn.Module):
     def refresh(
         self, loc: Float[Tensor, "batch dim"], log_var: Float[Tensor, "batch dim"]
     ) -> None:
-        """Let predicted next states take the place of the oldest components, and fit `h`."""
+        """Let predicted next states take the place of the oldest components, and fit `h`.
+
+        Raises:
+            ValueError: If one is not of the marginal's features, or there are not as many of both.
+        """
+        self._check_states(loc, log_var)
         components = self.loc.shape[0]
         loc, log_var = loc[-components:], log_var[-components:]
         slot = (self._num_seen + torch.arange(loc.shape[0], device=loc.device)) % components
@@ -100,7 +105,12 @@ class NextStateMarginal(nn.Module):
     def replace(
         self, loc: Float[Tensor, "batch dim"], log_var: Float[Tensor, "batch dim"]
     ) -> None:
-        """Let predicted next states take the place of all components, and fit `h`."""
+        """Let predicted next states take the place of all components, and fit `h`.
+
+        Raises:
+            ValueError: If one is not of the marginal's features, or there are not as many of both.
+        """
+        self._check_states(loc, log_var)
         self._num_seen = 0
         self.log_weight.fill_(-math.inf)
         self.refresh(loc, log_var)
@@ -179,6 +189,17 @@ class NextStateMarginal(nn.Module):
             lower=((own - everyone).mean(0) * share).sum(),
             upper=torch.where(self.num_seen < 2, math.inf, upper),
         )
+
+    def _check_states(self, loc: Tensor, log_var: Tensor) -> None:
+        """Reject states that would be spread over the marginal's features."""
+        dim = self.loc.shape[1]
+        if loc.ndim != 2 or loc.shape[1] != dim or len(loc) == 0:
+            raise ValueError(f"`loc` must have shape (batch, {dim}), got {tuple(loc.shape)}.")
+        if log_var.shape != loc.shape:
+            raise ValueError(
+                f"`log_var` must have shape {tuple(loc.shape)}, as `loc` has, "
+                f"got {tuple(log_var.shape)}."
+            )
 
     def _perplexity(self, component_log_var: Tensor) -> Tensor:
         """That of the first components, which are many enough for a mean, among all."""

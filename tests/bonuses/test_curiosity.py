@@ -1,6 +1,8 @@
 import math
 from copy import deepcopy
 
+import jaxtyping
+import numpy as np
 import pytest
 import torch
 from torch import nn
@@ -796,9 +798,28 @@ def test_curiosity_about_a_function_measures_its_value():
 
 
 @pytest.mark.parametrize("entries", [(), (0, 3), (-4,), (0, 0), (2, -1)])
-def test_features_that_are_no_entries_are_rejected(entries):
-    with pytest.raises(ValueError, match="`features` must name different entries of 3, got"):
+def test_what_are_no_entries_is_rejected(entries):
+    with pytest.raises(ValueError, match="`entries` must name different entries of 3, got"):
         small_bonus(entries=entries)
+
+
+@pytest.mark.parametrize("entry", [1.5, "0", True])
+def test_entries_that_are_no_whole_numbers_are_rejected(entry):
+    jaxtyping.config.update("jaxtyping_disable", True)  # as for a user, whom nothing else tells
+    with pytest.raises(TypeError, match=rf"`entries` must be whole numbers, got {entry!r}"):
+        small_bonus(entries=(entry,))
+
+
+def test_entries_may_be_whole_numbers_of_any_kind():
+    jaxtyping.config.update("jaxtyping_disable", True)
+    assert small_bonus(entries=np.array([0, -1])).entries == [0, 2]
+
+
+@pytest.mark.parametrize("value", ["present", math.inf, True])
+def test_a_goal_that_is_neither_the_past_nor_a_number_is_rejected_by_name(value):
+    jaxtyping.config.update("jaxtyping_disable", True)
+    with pytest.raises(ValueError, match=rf"`tune_weight` must be 'past'.*got {value!r}"):
+        small_bonus(tune_weight=value)
 
 
 def test_the_marginal_starts_where_one_has_been_of_late_and_statistics_do_not():

@@ -1,5 +1,6 @@
 import math
 
+import jaxtyping
 import pytest
 import torch
 from torch.distributions import Categorical, Independent, MixtureSameFamily, Normal
@@ -274,3 +275,24 @@ def test_one_component_has_nothing_to_be_distinguished_from():
     marginal.refresh(*numbered(0, 1))
     lower, upper = marginal.information(torch.randn(2, 4, 1))
     assert lower.item() == pytest.approx(0, abs=1e-6) and upper == math.inf
+
+
+@pytest.mark.parametrize("change", ["refresh", "replace"])
+@pytest.mark.parametrize(
+    ("loc", "log_var", "message"),
+    [
+        ((5, 1), (5, 1), r"`loc` must have shape \(batch, 2\), got \(5, 1\)"),
+        ((2,), (2,), r"`loc` must have shape \(batch, 2\), got \(2,\)"),
+        ((0, 2), (0, 2), r"`loc` must have shape \(batch, 2\), got \(0, 2\)"),
+        ((5, 2), (5, 1), r"`log_var` must have shape \(5, 2\), as `loc` has, got \(5, 1\)"),
+        ((5, 2), (1, 2), r"`log_var` must have shape \(5, 2\), as `loc` has, got \(1, 2\)"),
+    ],
+)
+def test_states_that_would_be_spread_over_the_components_are_rejected(
+    change, loc, log_var, message
+):
+    jaxtyping.config.update("jaxtyping_disable", True)  # as for a user, whom nothing else tells
+    marginal = NextStateMarginal(2, components=8)
+    with pytest.raises(ValueError, match=message):
+        getattr(marginal, change)(torch.zeros(loc), torch.zeros(log_var))
+    assert marginal.is_empty and not marginal.loc.isnan().any()
