@@ -433,3 +433,25 @@ def test_a_component_of_no_weight_is_no_reason_to_refuse():
     assert (
         expected_log_density(value, value, component, component, log_weight)[:, 1] == -math.inf
     ).all()
+
+
+@pytest.mark.parametrize("weighted", [True, False])
+def test_one_gaussian_without_a_batch_is_answered_as_in_a_batch_of_one(weighted):
+    loc, log_var, *problem = random_problem(6, batch=1)
+    problem = problem if weighted else problem[:2]
+    for function in (kl_to_mixture_upper, kl_to_mixture_lower, expected_log_density):
+        alone = function(loc[0], log_var[0], *problem)
+        torch.testing.assert_close(alone, function(loc, log_var, *problem)[0])
+    alone = mixture_log_density(loc[0], *problem)
+    torch.testing.assert_close(alone, mixture_log_density(loc, *problem)[0])
+    assert alone.shape == ()
+
+
+def test_half_precision_is_enough_for_weights_of_zero_and_others():
+    loc, log_var, *problem = random_problem(7)
+    problem[-1][0] = -math.inf
+    exact = kl_to_mixture_upper(loc, log_var, *problem)
+    halves = [each.half() for each in (loc, log_var, *problem)]
+    rounded = kl_to_mixture_upper(*halves)
+    assert rounded.dtype == torch.float16
+    torch.testing.assert_close(rounded.double(), exact, rtol=1e-2, atol=2e-2)
