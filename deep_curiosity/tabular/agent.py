@@ -106,6 +106,9 @@ class CuriousAgent(Learner):
         only_current_state: Whether a plan changes the policy in the current state only.
         tolerance: Largest change of a probability that ends a plan.
         max_iterations: Largest number of updates at each temperature.
+
+    Attributes:
+        solution: What the last plan came to, converged or not; `None` before the first.
     """
 
     @checked
@@ -142,6 +145,7 @@ class CuriousAgent(Learner):
             max_iterations=max_iterations,
         )
         self.step = 0
+        self.solution: Solution | None = None
         self.log_policy = uniform_log_policy(*model.reward.shape)
 
     @property
@@ -169,8 +173,8 @@ class CuriousAgent(Learner):
         temperature = self.temperature(self.step)
         check_positive("temperature", temperature)
         temperatures = [factor * temperature for factor in self.annealing]
-        solution = anneal(solve, self.log_policy, temperatures, recomputed=rows)
-        self.log_policy = solution.log_policy
+        self.solution = anneal(solve, self.log_policy, temperatures, recomputed=rows)
+        self.log_policy = self.solution.log_policy
 
     def act(self, state: int, rng: np.random.Generator) -> int:
         """Step 2(d): plans if a plan is due, and samples an action."""

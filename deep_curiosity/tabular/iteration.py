@@ -12,6 +12,7 @@ from deep_curiosity.tabular.checks import check_at_least, check_positive, check_
 from deep_curiosity.tabular.policies import COLDEST, normalize_log
 
 LONGEST_CYCLE = 8  # number of policies kept to recognise a cycle
+ROUNDING = float(np.finfo(float).eps)  # of a probability: changes below it tell nothing
 
 
 @dataclass(frozen=True)
@@ -90,12 +91,14 @@ def iterate(
         damping: Fraction of the step to the update in log space, 1 for the whole step.
         halving: Whether to halve the damping each time the policy reverses its direction.
         tolerance: Largest change of a probability that counts as convergence; it shrinks as
-            the damping does.
+            the damping does. Where it is below rounding, a policy that stands still may only be
+            too slow to be seen to move, and does not count as converged.
         max_iterations: Largest number of updates.
     """
     check_range("damping", damping, float(np.nextafter(0, 1)), 1.0)
     check_positive("tolerance", tolerance)
     check_at_least("max_iterations", max_iterations, 1)
+    may_converge = tolerance >= ROUNDING
     trace, recent = [], deque([np.exp(log_policy)], LONGEST_CYCLE)
     for _ in range(max_iterations):
         target, objective = step(log_policy)
@@ -111,7 +114,7 @@ def iterate(
             damping, tolerance = damping / 2, tolerance / 2
     trace.append(step(log_policy)[1])
     cycle_length = int(np.argmin(changes)) + 1 if cycles else None
-    return Solution(log_policy, np.array(trace), bool(converged), cycle_length)
+    return Solution(log_policy, np.array(trace), bool(converged) and may_converge, cycle_length)
 
 
 def _cycles(changes: Sequence[float], tolerance: float) -> bool:

@@ -14,7 +14,12 @@ from deep_curiosity.tabular.checks import (
     checked,
 )
 from deep_curiosity.tabular.environments import FiniteMDP
-from deep_curiosity.tabular.estimators import CountedModel, Experience, QLearning
+from deep_curiosity.tabular.estimators import (
+    CountedModel,
+    Experience,
+    QLearning,
+    check_experience,
+)
 from deep_curiosity.tabular.far_sighted import curiosity_values
 from deep_curiosity.tabular.information import (
     curiosity,
@@ -34,6 +39,8 @@ from deep_curiosity.tabular.policies import (
     normalize_log,
     uniform_log_policy,
 )
+
+SETTLED = 1e-8  # of probabilities, and of values of about one or as a share of larger ones
 
 
 class EpsilonGreedy(Learner):
@@ -93,6 +100,7 @@ class PredictionErrorCuriosity(EpsilonGreedy):
 
     def observe(self, experience: Experience) -> None:
         """Learns values with the surprise in nats as reward, then updates the model."""
+        check_experience(experience, *self.values.action_value.shape)
         state, action, _, next_state = experience
         surprise = -float(np.log(self.model.transition[state, action, next_state]))
         self.values.observe(experience._replace(reward=surprise))
@@ -162,8 +170,8 @@ def information_to_go(
     *,
     reward_weight: float,
     num_iterations: int = 1_000,
-) -> Float[np.ndarray, "states actions"]:
-    r"""Log policy that trades reward for information to go: all future bits are a cost.
+) -> Solution:
+    r"""The policy that trades reward for information to go: all future bits are a cost.
 
     .. math:: G(x, a) = D(x, a) - \beta R(x, a) + \gamma \sum_{x'} p(x' | x, a) F(x'), \qquad
         F(x) = -\log \sum_a p(a) e^{-G(x, a)}, \qquad \pi(a | x) = p(a) e^{F(x) - G(x, a)}
@@ -179,6 +187,9 @@ def information_to_go(
         reward_weight: Nats paid for one unit of reward, beta.
         num_iterations: Number of updates.
 
+    Returns:
+        The last policy, with minus the expected free energy as its objective.
+
     Reference: Tishby & Polani, "Information theory of decisions and actions" (2010).
     """
     check_shape("state_distribution", state_distribution, (mdp.num_states,))
@@ -186,22 +197,24 @@ def information_to_go(
     check_positive("state_distribution", float(state_distribution.min()))
     check_at_least("num_iterations", num_iterations, 1)
     log_policy = uniform_log_policy(mdp.num_states, mdp.num_actions)
-    free_energy = np.zeros(mdp.num_states)
+    free_energy, trace = np.zeros(mdp.num_states), [0.0]
     for _ in range(num_iterations):
+        before = log_policy, free_energy
         log_prior = log_action_marginal(log_policy, state_distribution)
         log_marginal = log_next_state_marginal(mdp.transition, log_policy, state_distribution)
         cost = curiosity(mdp.transition, log_marginal) - reward_weight * mdp.reward
         cost = cost + mdp.discount * mdp.transition @ free_energy
         free_energy = -np.logaddexp.reduce(log_prior - cost, axis=-1)
         log_policy = information_limited(log_prior, -cost, 1.0)
-    return log_policy
+        trace.append(-float(state_distribution @ free_energy))
+    return _solution_of(before, (log_policy, free_energy), trace)
 
 
 @checked
 def dynamic_policy_programming(
     mdp: FiniteMDP, *, temperature: float, num_iterations: int = 1_000
-) -> Float[np.ndarray, "states actions"]:
-    r"""Log policy after updates that each penalise the change from the previous policy.
+) -> Solution:
+    r"""The policy after updates that each penalise the change from the previous policy.
 
     .. math:: \Psi \leftarrow \Psi - M \Psi + R + \gamma P M \Psi, \qquad
         \pi \propto e^{\Psi / \lambda}, \qquad M \Psi(x) = \sum_a \pi(a | x) \Psi(x, a)
@@ -213,17 +226,23 @@ def dynamic_policy_programming(
         temperature: Price of a nat of relative entropy between successive policies.
         num_iterations: Number of updates.
 
+    Returns:
+        The last policy, with the mean of its preferences at the start as its objective.
+
     Reference: Azar & Kappen, "Dynamic policy programming" (2010).
     """
     check_positive("temperature", temperature)
     check_at_least("num_iterations", num_iterations, 1)
     preference = np.zeros((mdp.num_states, mdp.num_actions))
+    log_policy, mean, trace = boltzmann(preference, temperature), np.zeros(mdp.num_states), [0.0]
     for _ in range(num_iterations):
-        policy = np.exp(boltzmann(preference, temperature))
-        mean = np.einsum("xa,xa->x", policy, preference)
+        before = log_policy, mean
         backup = mdp.reward + mdp.discount * mdp.transition @ mean
         preference = preference - mean[:, None] + backup
-    return boltzmann(preference, temperature)
+        log_policy = boltzmann(preference, temperature)
+        mean = np.einsum("xa,xa->x", np.exp(log_policy), preference)
+        trace.append(float(mdp.start @ mean))
+    return _solution_of(before, (log_policy, mean), trace)
 
 
 @checked
@@ -263,3 +282,19 @@ def predictive_states(
         return normalize_log(log_policy + score), objective
 
     return iterate(step, log_policy, damping=0.5, halving=True, max_iterations=max_iterations)
+
+
+def _solution_of(
+    before: tuple[np.ndarray, np.ndarray], after: tuple[np.ndarray, np.ndarray], trace: list[float]
+) -> Solution:
+    """Where a fixed number of updates ended.
+
+    Args:
+        before: Log policy and value of every state before the last update.
+        after: The same after it.
+        trace: The objective of every policy on the way.
+    """
+    change = np.abs(np.exp(after[0]) - np.exp(before[0])).max()
+    value_change = np.abs(after[1] - before[1]).max()
+    stands = change <= SETTLED and value_change <= SETTLED * max(1.0, np.abs(after[1]).max())
+    return Solution(after[0], np.array(trace), bool(stands), None)

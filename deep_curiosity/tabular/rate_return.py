@@ -36,12 +36,14 @@ class RatePoint(NamedTuple):
         rate: I(A; X), in nats.
         value: Expected return V.
         policy: The policy that attains it.
+        converged: Whether the iteration that found it converged.
     """
 
     temperature: float
     rate: float
     value: float
     policy: Float[np.ndarray, "states actions"]
+    converged: bool
 
 
 @checked
@@ -57,10 +59,19 @@ def solve_rate_limited(
 
     The undamped iteration is the algorithm of Blahut and Arimoto with distortion -Q at slope
     1 / lambda, which maximises V - lambda I(A; X).
+
+    Args:
+        action_value: Q(x, a) of the policy on all other time steps.
+        state_distribution: Distribution of the state at this time step.
+        temperature: The price lambda.
+        tolerance: Largest change of a probability that counts as convergence; at a temperature
+            above the range of the values it is divided by their ratio, as the steps are.
+        max_iterations: Largest number of updates.
     """
     check_finite("action_value", action_value)
     check_shape("state_distribution", state_distribution, action_value.shape[:1])
     check_distribution("state_distribution", state_distribution)
+    value_range = float(np.ptp(action_value)) or np.inf  # where all is equal, nothing moves
 
     def step(log_policy: np.ndarray) -> tuple[np.ndarray, float]:
         policy = np.exp(log_policy)
@@ -74,7 +85,7 @@ def solve_rate_limited(
         step,
         uniform_log_policy(*action_value.shape),
         damping=1.0,
-        tolerance=tolerance,
+        tolerance=tolerance / max(1.0, temperature / value_range),
         max_iterations=max_iterations,
     )
 
@@ -86,10 +97,10 @@ def rate_point(
     temperature: float,
 ) -> RatePoint:
     """The point of the curve whose slope is `temperature`."""
-    policy = solve_rate_limited(action_value, state_distribution, temperature).policy
-    rate = action_information(policy, state_distribution)
-    value = expected_return(state_distribution, policy, action_value)
-    return RatePoint(temperature, rate, value, policy)
+    solution = solve_rate_limited(action_value, state_distribution, temperature)
+    rate = action_information(solution.policy, state_distribution)
+    value = expected_return(state_distribution, solution.policy, action_value)
+    return RatePoint(temperature, rate, value, solution.policy, solution.converged)
 
 
 @checked
@@ -131,7 +142,8 @@ def largest_return(
     for _ in range(NUM_BISECTIONS):
         point = rate_point(action_value, state_distribution, float(np.exp((low + high) / 2)))
         if point.rate <= rate:
-            best, high = point, (low + high) / 2
+            best = max(best, point, key=lambda point: point.value)  # the hot may not converge
+            high = (low + high) / 2
         else:
             low = (low + high) / 2
         if rate - RATE_TOLERANCE <= best.rate:
@@ -149,4 +161,4 @@ def zero_rate_point(
     best = (state_distribution @ action_value).argmax()
     policy = np.tile(np.eye(num_actions)[best], (num_states, 1))
     value = expected_return(state_distribution, policy, action_value)
-    return RatePoint(float(np.inf), 0.0, value, policy)
+    return RatePoint(float(np.inf), 0.0, value, policy, converged=True)

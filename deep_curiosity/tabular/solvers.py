@@ -117,7 +117,7 @@ def maximize(
         log_policy,
         damping=safe_damping(temperature) if damping is None else damping,
         halving=damping is None,
-        tolerance=tolerance,
+        tolerance=tolerance / max(1.0, temperature),
         max_iterations=max_iterations,
     )
     kept = np.where(recomputed[:, None], solution.log_policy, log_policy)  # not even rounded
@@ -153,7 +153,8 @@ def solve_time_step(
         damping: Fraction of the step to (25) in log space, 1 for the update as written;
             `safe_damping(temperature)`, halved at each overshoot, by default.
         recomputed: The states in which the policy changes, by default all.
-        tolerance: Largest change of a probability that counts as convergence.
+        tolerance: Largest change of a probability that counts as convergence; at a temperature
+            above 1 it is divided by it, as the steps are.
         max_iterations: Largest number of updates.
     """
     check_start(log_policy, state_distribution, transition.shape[:2])
@@ -193,7 +194,8 @@ def solve_stationary(
         curiosity_discount: Discount of curiosity, 0 for the paper as written.
         damping: Fraction of the step to (25) in log space, 1 for the update as written;
             `safe_damping(temperature)`, halved at each overshoot, by default.
-        tolerance: Largest change of a probability that counts as convergence.
+        tolerance: Largest change of a probability that counts as convergence; at a temperature
+            above 1 it is divided by it, as the steps are.
         max_iterations: Largest number of updates.
     """
     first = uniform_log_policy(*mdp.reward.shape) if log_policy is None else log_policy

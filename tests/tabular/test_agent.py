@@ -312,6 +312,16 @@ def test_an_agent_learns_from_nothing_but_an_experience():
         exact_agent().observe((0, 0, 0.0, 0))
 
 
+def test_agent_keeps_what_its_last_plan_came_to():
+    agent = exact_agent(max_iterations=1)
+    assert agent.solution is None
+    agent.plan(0)
+    assert agent.solution is not None and not agent.solution.converged
+    patient = exact_agent(max_iterations=1_000, temperature=fixed(1.0))
+    patient.plan(0)
+    assert patient.solution is not None and patient.solution.converged
+
+
 def test_period_of_zero_is_rejected():
     with pytest.raises(ValueError, match="`period` must be at least 1, got 0"):
         exact_agent(period=0)

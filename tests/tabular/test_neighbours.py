@@ -12,6 +12,7 @@ from deep_curiosity.tabular.environments import (
     random_mdp,
     reliable_unreliable,
 )
+from deep_curiosity.tabular.estimators import Experience
 from deep_curiosity.tabular.information import (
     predictive_information,
     state_predictive_information,
@@ -79,13 +80,14 @@ def test_surprise_wears_off_where_transitions_are_certain():
 
 def test_information_to_go_earns_the_most_when_reward_weighs_all():
     mdp = random_mdp(5, 3, np.random.default_rng(0))
-    log_policy = information_to_go(mdp, mdp.start, reward_weight=1e4)
-    assert_optimal(mdp, np.exp(log_policy))
+    solution = information_to_go(mdp, mdp.start, reward_weight=1e4)
+    assert solution.converged
+    assert_optimal(mdp, solution.policy)
 
 
 def test_information_to_go_shuns_the_information_that_curiosity_seeks():
     mdp = random_mdp(5, 3, np.random.default_rng(1))
-    averse = np.exp(information_to_go(mdp, mdp.start, reward_weight=0.0))
+    averse = information_to_go(mdp, mdp.start, reward_weight=0.0).policy
     curious = solve_stationary(mdp, temperature=0.5, tolerance=1e-6).policy
     bits = [
         predictive_information(
@@ -101,8 +103,9 @@ def test_information_to_go_shuns_the_information_that_curiosity_seeks():
 @pytest.mark.parametrize("temperature", [0.1, 2.0])
 def test_dynamic_policy_programming_is_optimal_at_any_temperature(temperature):
     mdp = random_mdp(5, 3, np.random.default_rng(2))
-    log_policy = dynamic_policy_programming(mdp, temperature=temperature)
-    assert_optimal(mdp, np.exp(log_policy))
+    solution = dynamic_policy_programming(mdp, temperature=temperature)
+    assert solution.converged
+    assert_optimal(mdp, solution.policy)
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
@@ -130,3 +133,34 @@ def test_bad_parameters_are_rejected():
         dynamic_policy_programming(mdp, temperature=0.0)
     with pytest.raises(ValueError, match=r"`state_distribution` must be positive.*got 0.0"):
         information_to_go(mdp, np.array([1.0, 0.0]), reward_weight=1.0)
+
+
+def test_too_few_updates_are_told_from_enough():
+    mdp = random_mdp(5, 3, np.random.default_rng(2))
+    for num_iterations, enough in ((1, False), (10, False), (1_000, True)):
+        solution = information_to_go(
+            mdp, mdp.start, reward_weight=1.0, num_iterations=num_iterations
+        )
+        other = dynamic_policy_programming(mdp, temperature=0.1, num_iterations=num_iterations)
+        assert solution.converged is other.converged is enough
+        assert len(solution.objective) == len(other.objective) == num_iterations + 1
+
+
+def test_objective_of_dynamic_policy_programming_ends_at_the_best_return():
+    mdp = random_mdp(5, 3, np.random.default_rng(2))
+    solution = dynamic_policy_programming(mdp, temperature=0.1)
+    best = optimal_action_values(mdp.transition, mdp.reward, mdp.discount)
+    assert solution.objective[-1] == pytest.approx(mdp.start @ best.max(1))
+
+
+@pytest.mark.parametrize("experience", [Experience(7, 0, 0.0, 0), Experience(0, 0, 0.0, 7)])
+def test_no_learner_learns_from_states_that_there_are_not(experience):
+    for learner in (
+        PredictionErrorCuriosity(3, 2, discount=0.9),
+        EpsilonGreedy(3, 2, discount=0.9),
+        RMax(3, 2, discount=0.9, largest_reward=1.0),
+    ):
+        with pytest.raises(ValueError, match=r"state` must lie in \[0, 2\], got 7"):
+            learner.observe(experience)
+        with pytest.raises(TypeError, match="`experience` must be an Experience"):
+            learner.observe((0, 0, 0.0, 0))

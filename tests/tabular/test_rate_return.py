@@ -107,6 +107,20 @@ def test_the_best_constant_action_is_so_in_any_unit_and_beside_any_constant(size
     assert point.value == size + offset
 
 
+def test_a_point_says_whether_it_converged():
+    action_value, states = sample_problem(5)
+    cold, hot = rate_return_curve(action_value, states, [0.2, 1e9 * np.ptp(action_value)])
+    assert cold.converged and not hot.converged
+    assert zero_rate_point(action_value, states).converged
+
+
+@pytest.mark.slow
+def test_dual_at_a_tiny_rate_returns_no_less_than_its_best_constant_action():
+    action_value, states = sample_problem(8)
+    point = largest_return(action_value, states, 1e-7)
+    assert point.value >= (states @ action_value).max()
+
+
 def test_dual_at_a_free_rate_is_greedy():
     action_value, states = sample_problem(9)
     point = largest_return(action_value, states, 10.0)

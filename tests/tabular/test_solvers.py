@@ -341,6 +341,24 @@ def test_hungry_agent_finds_the_optimal_policy(mdp, curiosity_discount):
     np.testing.assert_allclose(chosen, best.max(-1), rtol=1e-3)
 
 
+@pytest.mark.parametrize("temperature", [1e12, 1e17])
+def test_what_is_too_hot_to_be_seen_to_move_has_not_converged(temperature):
+    mdp = random_mdp(4, 3, np.random.default_rng(0))
+    start = np.log(np.tile([0.9, 0.05, 0.05], (4, 1)))
+    solution = solve_time_step(
+        mdp.transition, start, mdp.start, temperature=temperature, max_iterations=50
+    )
+    assert not solution.converged
+
+
+def test_a_hot_solution_has_converged_where_no_other_prior_is_better():
+    mdp, start = clever_random(3), np.log([[0.5, 0.4, 0.1], [0.4, 0.5, 0.1]])
+    solution = solve_time_step(mdp.transition, start, mdp.start, temperature=50.0, tolerance=1e-6)
+    score = curious_score(mdp.transition, solution.log_policy, mdp.start)
+    earned = mdp.start @ (solution.policy * score).sum(1)
+    assert solution.converged and (mdp.start @ score).max() - earned < 1e-3
+
+
 def test_only_the_recomputed_states_change():
     mdp, rng = random_mdp(4, 3, np.random.default_rng(9)), np.random.default_rng(10)
     start = random_log_policy(4, 3, rng)

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from deep_curiosity.experiments.paper.figures import BLUE, GREY, ORANGE, open_figure
-from deep_curiosity.experiments.paper.tables import stationary_bits, write_table
+from deep_curiosity.experiments.paper.tables import settled, stationary_bits, write_table
 from deep_curiosity.tabular.environments import FiniteMDP, clever_random
 from deep_curiosity.tabular.information import (
     log_next_state_marginal,
@@ -95,7 +95,7 @@ def solve_from(
 ) -> list[np.ndarray]:
     """Solutions of the damped iteration, one for each initial log policy."""
     return [
-        solve_stationary(mdp, start, temperature=temperature, tolerance=1e-8).policy
+        settled(solve_stationary(mdp, start, temperature=temperature, tolerance=1e-8))
         for start in starts
     ]
 

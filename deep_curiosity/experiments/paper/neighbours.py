@@ -23,7 +23,8 @@ from deep_curiosity.tabular.information import (
     state_predictive_information,
     to_bits,
 )
-from deep_curiosity.tabular.markov import stationary_distribution
+from deep_curiosity.tabular.iteration import Solution
+from deep_curiosity.tabular.markov import expected_return, stationary_distribution
 from deep_curiosity.tabular.neighbours import (
     EpsilonGreedy,
     PredictionErrorCuriosity,
@@ -37,7 +38,17 @@ from deep_curiosity.tabular.solvers import solve_stationary
 
 
 class NeighbourRow(NamedTuple):
-    """Information and reward per step of one method in one environment."""
+    """Information and reward per step of one method in one environment.
+
+    Args:
+        environment: Where.
+        method: By which the policy was found.
+        bits_state_and_action: Predictive information I({X, A}; X') of the policy.
+        bits_state_alone: I(X; X') of the policy.
+        bits_cost: I(A; X) of the policy.
+        pay: Reward per step.
+        converged: Whether the iteration that found the policy did; `None` where it was learned.
+    """
 
     environment: str
     method: str
@@ -45,6 +56,7 @@ class NeighbourRow(NamedTuple):
     bits_state_alone: float
     bits_cost: float
     pay: float
+    converged: bool | None
 
 
 def write_neighbours(folder: Path, seed: int, *, num_steps: int = 5_000) -> list[NeighbourRow]:
@@ -62,9 +74,9 @@ def write_neighbours(folder: Path, seed: int, *, num_steps: int = 5_000) -> list
         "chain of 8": chain(8),
     }
     rows = [
-        measure(environment, method, mdp, policy)
+        measure(environment, method, mdp, *found)
         for environment, mdp in environments.items()
-        for method, policy in solve_all(mdp, seed, num_steps).items()
+        for method, found in solve_all(mdp, seed, num_steps).items()
     ]
     write_table(folder / "neighbours.csv", NeighbourRow._fields, rows)
     with open_figure(folder / "neighbours.png", 12.0, 4.0) as figure:
@@ -76,7 +88,13 @@ def write_neighbours(folder: Path, seed: int, *, num_steps: int = 5_000) -> list
     return rows
 
 
-def measure(environment: str, method: str, mdp: FiniteMDP, policy: np.ndarray) -> NeighbourRow:
+def measure(
+    environment: str,
+    method: str,
+    mdp: FiniteMDP,
+    policy: np.ndarray,
+    converged: bool | None = None,
+) -> NeighbourRow:
     """Row of one policy, in its stationary states."""
     states = stationary_distribution(mdp.transition, policy, mdp.start)
     alone = to_bits(state_predictive_information(mdp.transition, policy, states))
@@ -86,16 +104,22 @@ def measure(environment: str, method: str, mdp: FiniteMDP, policy: np.ndarray) -
         bits_state_and_action=max(0.0, stationary_bits(mdp, policy)),
         bits_state_alone=max(0.0, alone),
         bits_cost=max(0.0, to_bits(action_information(policy, states))),
-        pay=float(np.einsum("x,xa,xa->", states, policy, mdp.reward)),
+        pay=expected_return(states, policy, mdp.reward),
+        converged=converged,
     )
 
 
-def solve_all(mdp: FiniteMDP, seed: int, num_steps: int) -> dict[str, np.ndarray]:
-    """The final policy of each method."""
+def solve_all(
+    mdp: FiniteMDP, seed: int, num_steps: int
+) -> dict[str, tuple[np.ndarray, bool | None]]:
+    """The final policy of each method, and whether it converged, where it was planned."""
     rng = np.random.default_rng(seed)
     learned = learn_policies(mdp, num_steps, rng)
     start = random_log_policy(mdp.num_states, mdp.num_actions, rng)
-    return learned | plan_policies(mdp, start)
+    planned = plan_policies(mdp, start)
+    return {name: (policy, None) for name, policy in learned.items()} | {
+        name: (solution.policy, solution.converged) for name, solution in planned.items()
+    }
 
 
 def learn_policies(
@@ -113,19 +137,18 @@ def learn_policies(
     return {name: learner.policy for name, learner in learners.items()}
 
 
-def plan_policies(mdp: FiniteMDP, start: np.ndarray) -> dict[str, np.ndarray]:
-    """Final policies of the methods that know the environment, from an initial log policy."""
+def plan_policies(mdp: FiniteMDP, start: np.ndarray) -> dict[str, Solution]:
+    """Solutions of the methods that know the environment, from an initial log policy."""
     uniform = np.full(mdp.num_states, 1 / mdp.num_states)
     solve = partial(solve_stationary, mdp, start, temperature=0.3, tolerance=1e-7)
-    log_policies = {
+    return {
         "information to go": information_to_go(mdp, uniform, reward_weight=10.0),
         "dynamic policy progr.": dynamic_policy_programming(mdp, temperature=1.0),
-        "predictive states": predictive_states(mdp, start, curiosity_discount=0.9).log_policy,
-        "curious": solve().log_policy,
-        "curious, far-sighted": solve(curiosity_discount=0.95).log_policy,
-        "curious and hungry": solve(hunger=10.0).log_policy,
+        "predictive states": predictive_states(mdp, start, curiosity_discount=0.9),
+        "curious": solve(),
+        "curious, far-sighted": solve(curiosity_discount=0.95),
+        "curious and hungry": solve(hunger=10.0),
     }
-    return {name: np.exp(log_policy) for name, log_policy in log_policies.items()}
 
 
 def plot_environment(axis: Axes, rows: Sequence[NeighbourRow]) -> None:

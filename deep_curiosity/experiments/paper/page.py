@@ -8,7 +8,7 @@ from deep_curiosity.experiments.paper.clever_random import (
     CleverRandomSummary,
     write_clever_random,
 )
-from deep_curiosity.experiments.paper.neighbours import write_neighbours
+from deep_curiosity.experiments.paper.neighbours import NeighbourRow, write_neighbours
 from deep_curiosity.experiments.paper.rate_return import RateReturnSummary, write_rate_return
 from deep_curiosity.experiments.paper.reliable_unreliable import (
     FarSightedRow,
@@ -36,8 +36,9 @@ def write_paper(folder: Path, seed: int = 0) -> None:
     reliable = write_reliable_unreliable(folder, seed)
     dual = write_rate_return(folder, seed)
     slopes = write_samples(folder, seed)
-    write_neighbours(folder, seed)
-    (folder / "README.md").write_text(format_page(clever, reliable, dual, slopes))
+    neighbours = write_neighbours(folder, seed)
+    page = format_page(clever, reliable, dual, slopes, neighbours)
+    (folder / "README.md").write_text(page)
 
 
 def format_page(
@@ -45,12 +46,16 @@ def format_page(
     reliable: Sequence[FarSightedRow],
     dual: RateReturnSummary,
     slopes: Quantities,
+    neighbours: Sequence[NeighbourRow],
 ) -> str:
     """The text of the page, from the numbers of its sections."""
     lines = [
         f"| {row.curiosity_discount:g} | {row.pi_stay_given_0:.4f} "
         f"| {row.p_state_is_0:.4f} | {row.bits:.4f} |"
         for row in reliable
+    ]
+    under_way = [
+        f"{row.method} in {row.environment}" for row in neighbours if row.converged is False
     ]
     template = resources.files(__package__).joinpath("page.md").read_text(encoding="utf-8")
     return template.format(
@@ -59,4 +64,5 @@ def format_page(
         limit_bits=reliable[-1].bits,
         dual=dual,
         slopes=slopes,
+        under_way="; ".join(under_way) or "none",
     )

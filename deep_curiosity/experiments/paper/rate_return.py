@@ -10,7 +10,11 @@ from deep_curiosity.experiments.paper.figures import BLUE, GREY, ORANGE, open_fi
 from deep_curiosity.experiments.paper.tables import write_table
 from deep_curiosity.tabular.environments import random_mdp
 from deep_curiosity.tabular.information import action_information, to_bits, to_nats
-from deep_curiosity.tabular.markov import optimal_action_values, stationary_distribution
+from deep_curiosity.tabular.markov import (
+    expected_return,
+    optimal_action_values,
+    stationary_distribution,
+)
 from deep_curiosity.tabular.policies import boltzmann
 from deep_curiosity.tabular.rate_return import RatePoint, largest_return, rate_return_curve
 
@@ -53,6 +57,9 @@ def write_rate_return(folder: Path, seed: int, *, num_temperatures: int = 60) ->
     rows = [(point.temperature, to_bits(point.rate), point.value) for point in curve]
     write_table(folder / "rate_return.csv", HEADER, rows)
     half = largest_return(action_value, states, to_nats(RATE))
+    for point in (*curve, half):
+        if not point.converged:
+            raise RuntimeError(f"A point must have converged, got one at {point.temperature}.")
     softmax = boltzmann_curve(action_value, states, temperatures)
     with open_figure(folder / "rate_return.png", 5.6, 3.8) as figure:
         plot_curves(figure.subplots(), np.array(rows)[:, 1:], softmax, half)
@@ -74,7 +81,7 @@ def boltzmann_curve(
         [
             (
                 to_bits(action_information(policy, states)),
-                np.einsum("x,xa,xa->", states, policy, action_value),
+                expected_return(states, policy, action_value),
             )
             for policy in policies
         ]

@@ -8,7 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from deep_curiosity.experiments.paper.figures import BLUE, GREY, ORANGE, open_figure
-from deep_curiosity.experiments.paper.tables import stationary_bits, write_table
+from deep_curiosity.experiments.paper.tables import settled, stationary_bits, write_table
 from deep_curiosity.tabular.environments import STAY, FiniteMDP, reliable_unreliable
 from deep_curiosity.tabular.information import predictive_information, to_bits, to_nats
 from deep_curiosity.tabular.markov import stationary_distribution
@@ -65,9 +65,10 @@ def solve_far_sighted(
         temperature=temperature,
         curiosity_discount=curiosity_discount,
     )
-    states = stationary_distribution(mdp.transition, solution.policy, mdp.start)
-    bits = stationary_bits(mdp, solution.policy)
-    stay = solution.policy[0, STAY]
+    policy = settled(solution)
+    states = stationary_distribution(mdp.transition, policy, mdp.start)
+    bits = stationary_bits(mdp, policy)
+    stay = policy[0, STAY]
     return FarSightedRow(temperature, curiosity_discount, stay, float(states[0]), bits)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from deep_curiosity.experiments.paper.figures import open_figure
-from deep_curiosity.experiments.paper.tables import write_table
+from deep_curiosity.experiments.paper.tables import settled, write_table
 from deep_curiosity.tabular.agent import FixedPolicy, run
 from deep_curiosity.tabular.environments import FiniteMDP, random_mdp
 from deep_curiosity.tabular.estimators import CountedModel, Experience, QLearning, Sarsa
@@ -89,7 +89,7 @@ def write_samples(folder: Path, seed: int, *, num_samples: int = 30_000) -> Quan
 
 def solve_policy(mdp: FiniteMDP, tolerance: float) -> np.ndarray:
     """The curious policy whose estimate is measured."""
-    return solve_stationary(mdp, temperature=1.0, hunger=1.0, tolerance=tolerance).policy
+    return settled(solve_stationary(mdp, temperature=1.0, hunger=1.0, tolerance=tolerance))
 
 
 def exact_quantities(mdp: FiniteMDP, policy: np.ndarray) -> Quantities:

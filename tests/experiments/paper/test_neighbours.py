@@ -9,14 +9,15 @@ from deep_curiosity.tabular.environments import LEFT, RIGHT, chain, reliable_unr
 def test_methods_end_where_the_table_says_in_the_second_illustration():
     mdp = reliable_unreliable()
     rows = {
-        method: measure("reliable", method, mdp, policy)
-        for method, policy in solve_all(mdp, seed=0, num_steps=200).items()
+        method: measure("reliable", method, mdp, *found)
+        for method, found in solve_all(mdp, seed=0, num_steps=200).items()
     }
     assert len(rows) == 9
     assert rows["curious"].bits_state_and_action == pytest.approx(0.5, abs=1e-6)
     far_sighted = rows["curious, far-sighted"].bits_state_and_action
     assert 0.58 < far_sighted < np.log2(3) - 1
     assert all(row.pay == 0 for row in rows.values())
+    assert [row.converged for row in rows.values()] == [None] * 3 + [True] * 6
 
 
 def test_reward_and_information_of_a_constant_policy_by_hand():

@@ -5,6 +5,7 @@ from pathlib import Path
 import pytest
 
 from deep_curiosity.experiments.paper.clever_random import CleverRandomSummary
+from deep_curiosity.experiments.paper.neighbours import NeighbourRow
 from deep_curiosity.experiments.paper.page import format_page
 from deep_curiosity.experiments.paper.rate_return import RateReturnSummary
 from deep_curiosity.experiments.paper.reliable_unreliable import FarSightedRow
@@ -23,6 +24,10 @@ def test_page_states_the_numbers_of_every_section():
         ],
         RateReturnSummary(9.5, 0.9, 8.9, 9.9, 1.79),
         Quantities(-0.51, -0.46, -0.5, -0.33, -0.3),
+        [
+            NeighbourRow("grid", method, 1.0, 0.5, 0.2, 0.0, converged)
+            for method, converged in (("R-MAX", None), ("curious", True), ("far-sighted", False))
+        ],
     )
     assert "| 0.5 | 0.6464 | 0.5858 | 0.5644 |\n| 1 | 0.7500 | 0.6667 | 0.5850 |" in page
     for text in (
@@ -31,6 +36,7 @@ def test_page_states_the_numbers_of_every_section():
         "reports 10.0 bits",
         "is 9.5000",
         "I({X, A}",
+        "as they were then: far-sighted in grid.",
     ):
         assert text in page
     assert "Q-learning -0.30" in page
