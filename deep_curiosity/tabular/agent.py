@@ -16,6 +16,7 @@ from deep_curiosity.tabular.checks import (
     check_range,
     check_shape,
     checked,
+    fixed_copy,
 )
 from deep_curiosity.tabular.environments import FiniteMDP
 from deep_curiosity.tabular.estimators import (
@@ -76,7 +77,7 @@ class FixedPolicy(Learner):
 
     @checked
     def __init__(self, policy: Float[np.ndarray, "states actions"]) -> None:
-        self.policy = policy
+        self.policy = fixed_copy(policy)
 
     def act(self, state: int, rng: np.random.Generator) -> int:
         """Samples an action."""

@@ -149,6 +149,13 @@ def check_distribution(name: str, probability: Float[np.ndarray, "*batch outcome
         raise ValueError(f"`{name}` must sum to 1 along its last axis, got {worst}.")
 
 
+def fixed_copy(array: np.ndarray) -> np.ndarray:
+    """A copy that cannot be written to: neither a caller nor a callee can change it later."""
+    copied = array.copy()
+    copied.setflags(write=False)
+    return copied
+
+
 def _check_annotated(
     name: str, value: Any, annotation: Any, sizes: dict[str, tuple[int, str]]
 ) -> None:

@@ -14,6 +14,7 @@ from deep_curiosity.tabular.checks import (
     check_range,
     check_shape,
     checked,
+    fixed_copy,
 )
 
 STAY, FLIP = 0, 1  # the two actions of the reliable and the unreliable state
@@ -24,7 +25,7 @@ LARGEST_DISCOUNT = float(np.nextafter(1, 0))  # at one, the return without an en
 
 @dataclass(frozen=True)
 class FiniteMDP:
-    """A finite Markov decision process that never ends.
+    """A finite Markov decision process that never ends, and never changes: its arrays are copies.
 
     Args:
         transition: Probability of the next state for every state and action.
@@ -48,6 +49,8 @@ class FiniteMDP:
         check_distribution("start", self.start)
         check_finite("reward", self.reward)
         check_range("discount", self.discount, 0.0, LARGEST_DISCOUNT)
+        for name in ("transition", "reward", "start"):
+            object.__setattr__(self, name, fixed_copy(getattr(self, name)))
 
     @property
     def num_states(self) -> int:

@@ -14,6 +14,7 @@ from deep_curiosity.tabular.checks import (
     check_positive,
     check_range,
     checked,
+    fixed_copy,
 )
 from deep_curiosity.tabular.environments import LARGEST_DISCOUNT, FiniteMDP
 from deep_curiosity.tabular.markov import action_values, propagate
@@ -146,7 +147,7 @@ class PropagatedStates(StateEstimate):
     @checked
     def __init__(self, start: Float[np.ndarray, " states"]) -> None:
         check_distribution("start", start)
-        self.present = start
+        self.present = fixed_copy(start)
 
     @property
     def distribution(self) -> Float[np.ndarray, " states"]:
@@ -242,8 +243,8 @@ class TemporalDifference(ActionValues):
         self.visits = np.zeros((num_states, num_actions))
 
     def estimate(self, model: Model, policy: Float[np.ndarray, "states actions"]) -> np.ndarray:
-        """The current table."""
-        return self.action_value
+        """The table as it is now."""
+        return self.action_value.copy()
 
     def learn(self, state: int, action: int, target: float) -> None:
         """Moves one entry of the table towards its target."""

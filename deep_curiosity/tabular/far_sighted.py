@@ -33,7 +33,7 @@ def curiosity_values(
     """
     check_range("curiosity_discount", curiosity_discount, 0.0, 1.0)
     if curiosity_discount == 0:
-        return divergence
+        return divergence.copy()
     chain = state_chain(transition, policy)
     limit = limiting_matrix(chain)
     finite = np.minimum(divergence, LARGEST_DIVERGENCE)

@@ -59,7 +59,7 @@ def damp(
 ) -> Float[np.ndarray, "states actions"]:
     r"""Interpolates to a target in log space: :math:`q^{1 - \eta} \pi^\eta`."""
     if damping == 1:  # an action of probability zero would give infinity times zero
-        return target
+        return target.copy()
     return normalize_log((1 - damping) * log_policy + damping * target)
 
 

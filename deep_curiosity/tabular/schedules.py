@@ -5,14 +5,15 @@ from typing import TypeVar
 
 import numpy as np
 
-from deep_curiosity.tabular.checks import check_positive, check_range, checked
+from deep_curiosity.tabular.checks import check_positive, check_range, checked, fixed_copy
 
 Setting = TypeVar("Setting", float, np.ndarray)
 
 
 def fixed(setting: Setting) -> Callable[[int], Setting]:
     """A constant schedule: a number, or an array with one entry for each state."""
-    return lambda step: setting
+    kept = fixed_copy(setting) if isinstance(setting, np.ndarray) else setting
+    return lambda step: kept
 
 
 @checked

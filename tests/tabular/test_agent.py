@@ -325,3 +325,10 @@ def test_agent_keeps_what_its_last_plan_came_to():
 def test_period_of_zero_is_rejected():
     with pytest.raises(ValueError, match="`period` must be at least 1, got 0"):
         exact_agent(period=0)
+
+
+def test_a_fixed_policy_stays_when_the_array_it_was_made_of_changes():
+    policy = np.full((2, 2), 0.5)
+    learner = FixedPolicy(policy)
+    policy[:] = 7
+    np.testing.assert_array_equal(learner.policy, 0.5)

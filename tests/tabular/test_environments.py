@@ -83,3 +83,15 @@ def test_too_small_an_mdp_is_rejected():
     for build in (lambda: clever_random(1), lambda: chain(1), lambda: grid_world(1, 1)):
         with pytest.raises(ValueError, match="must be at least 2, got 1"):
             build()
+
+
+def test_an_environment_does_not_change_with_the_arrays_it_was_made_of():
+    made_of = reliable_unreliable()
+    arrays = made_of.transition.copy(), made_of.reward.copy(), made_of.start.copy()
+    mdp = FiniteMDP(*arrays)
+    for array in arrays:
+        array += 1
+    for name in ("transition", "reward", "start"):
+        np.testing.assert_array_equal(getattr(mdp, name), getattr(made_of, name))
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(mdp, name)[0] = 7

@@ -131,3 +131,15 @@ def test_bad_parameters_are_rejected():
         PropagatedStates(np.array([0.5, 0.6]))
     with pytest.raises(ValueError, match="`discount` must lie in"):
         Sarsa(2, 2, 1.0)
+
+
+def test_estimates_do_not_change_with_what_was_given_or_what_is_done_with_them():
+    start = np.array([0.25, 0.75])
+    states, values = PropagatedStates(start), QLearning(4, 2, 0.5)
+    start[:] = 7
+    np.testing.assert_array_equal(states.distribution, [0.25, 0.75])
+    values.estimate(ExactModel(MDP), POLICY)[:] = 7
+    assert not values.action_value.any()
+    before = values.estimate(ExactModel(MDP), POLICY)
+    values.observe(STEP)
+    assert not before.any()

@@ -52,3 +52,13 @@ def test_discount_above_one_is_rejected():
     mdp, log_policy, _ = make_problem()
     with pytest.raises(ValueError, match=r"`curiosity_discount` must lie in .*, got 1.1"):
         curiosity_values(mdp.transition, mdp.reward, np.exp(log_policy), 1.1)
+
+
+def test_values_are_an_array_of_their_own_at_any_discount():
+    mdp, log_policy, _ = make_problem()
+    divergence = np.abs(mdp.reward)
+    for curiosity_discount in (0.0, 0.9):
+        values = curiosity_values(
+            mdp.transition, divergence, np.exp(log_policy), curiosity_discount
+        )
+        assert not np.shares_memory(values, divergence)

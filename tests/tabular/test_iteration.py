@@ -91,3 +91,9 @@ def test_bad_parameters_are_rejected():
         iterate(towards(LEFT), HALF, damping=1.0, max_iterations=0)
     with pytest.raises(ValueError, match="`temperature` must be positive"):
         safe_damping(0.0)
+
+
+@pytest.mark.parametrize("damping", [0.5, 1.0])
+def test_what_is_damped_is_an_array_of_its_own(damping):
+    damped = damp(LEFT, RIGHT, damping)
+    assert not np.shares_memory(damped, LEFT) and not np.shares_memory(damped, RIGHT)

@@ -23,3 +23,10 @@ def test_bad_parameters_are_rejected():
         decreasing(0.0, 0.5)
     with pytest.raises(ValueError, match="`factor` must lie in"):
         decreasing(1.0, 1.5)
+
+
+def test_fixed_stays_when_the_array_it_was_made_of_changes():
+    hunger = np.array([0.0, 1.0])
+    schedule = fixed(hunger)
+    hunger[:] = 7
+    np.testing.assert_array_equal(schedule(0), [0, 1])
