@@ -17,9 +17,7 @@ import torch
 from jaxtyping import Float, Int, jaxtyped
 from torch import Tensor
 
-LEAST_LOG_WEIGHT = (
-    -1e30
-)  # whose exponential is zero in any precision, as is that of float16's least
+LEAST_LOG_WEIGHT = -1e30  # whose exponential is zero in any precision
 LOG_TWO_PI = math.log(2 * math.pi)
 Parameters = ParamSpec("Parameters")
 
