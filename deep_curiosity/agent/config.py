@@ -128,8 +128,8 @@ class CuriosityValueConfig(Group):
     the value is then about this one, and it acts in evaluations. By default a quarter; 0, and the
     value is about the curious policy, where the agent is conditioned on its hunger."""
     adaptive_greedy_share: bool | None = None
-    """Let that share grow as reward comes to distinguish states: to one less the square of the
-    adaptive coefficient's ratio, at most 0.95. By default where there is a greedy policy."""
+    """Let that share grow as reward comes to distinguish states: to one less the ratio of the
+    adaptive coefficient, at most 0.95. By default where there is a greedy policy."""
     ends: int | None = setting(None, name="curiosity_ends", at_most=MOST_STEPS)
     """Environment step from which only reward counts; by default none."""
 

@@ -272,9 +272,8 @@ class CuriousSAC(nn.Module):
     def greedy_share(self) -> float:
         """Share of the steps at which the greedy policy should act now, 0 if there is none.
 
-        By default it grows as reward comes to distinguish states, to one less the variance of the
-        curiosity value over that of reward's: where curiosity has faded, what is left of it is not
-        worth that the greedy policy learns from what another does.
+        By default it grows as reward comes to distinguish states: where curiosity has faded, what
+        is left of it is not worth that the greedy policy learns from what another does.
         """
         if not self.has_greedy_policy:
             return 0.0
@@ -282,7 +281,7 @@ class CuriousSAC(nn.Module):
         if self.config.curiosity.adaptive_greedy_share is False:
             return least
         most = max(least, MOST_GREEDY_SHARE)
-        share = 1 - self._ratio_of_spreads(self._hunger).square()
+        share = 1 - self._ratio_of_spreads(self._hunger)
         share = torch.where(self.value_stds[0] > 0, share, 0.0)  # before anything was learned
         return share.clamp(least, most).item()
 

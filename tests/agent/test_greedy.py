@@ -165,8 +165,8 @@ def test_a_greedy_share_that_would_do_nothing_is_refused():
         (0.0, 2.0, 1.0, 0.25),  # no state is worth more than another
         (2.0, 2.0, 1.0, 0.25),
         (4.0, 3.5, 1.0, 0.25),
-        (4.0, 2.0, 1.0, 0.75),
-        (4.0, 2.0, 2.0, 0.9375),  # the hungrier the sooner
+        (4.0, 2.0, 1.0, 0.5),
+        (4.0, 2.0, 2.0, 0.75),  # the hungrier the sooner
         (4.0, 2.0, 0.5, 0.25),
         (4.0, 0.5, 0.0, 0.25),  # reward counts nothing
         (100.0, 1.0, 1.0, 0.95),  # the curious policy is never left aside

@@ -526,6 +526,21 @@ def test_what_is_said_of_greed_where_reward_is_dense_is_what_was_measured():
     assert said.format(*times) in page
 
 
+def test_what_is_said_of_a_share_of_variances_is_what_was_measured():
+    area = {
+        (row["agent"], row["seed"]): f"{row['area']:,.0f}".replace(",", " ")
+        for row in rows_of("docs/development/greedy-variance.csv")
+        if row["task"] == "HalfCheetah-v5"
+    }
+    square, default = "one less its square", "one less the ratio"
+    assert (
+        f"has areas of {area[square, 100]} and {area[square, 101]} on the first two seeds of "
+        f"HalfCheetah-v5, where the default has {area[default, 100]} and {area[default, 101]} and "
+        f"the plain agent {area['plain SAC', 100]} and {area['plain SAC', 101]}; but on the next "
+        f"two the default has {area[default, 102]} and {area[default, 103]}"
+    ) in text_of("docs/development/README.md")
+
+
 def solved_runs(path, agent="default"):
     """Of each task of a table: how many runs of an agent end solved."""
     return {
@@ -575,7 +590,8 @@ def test_what_is_said_of_the_standardised_bonuses_is_what_was_measured():
     assert f"Theirs is between {min(spread):.2f} and {max(spread):.2f}." in text
     draws = {
         task: max(row["draw_share"] for row in default if row["task"] == task)
-        for task in ("PendulumSwingup", "PointMaze", "ReacherSparse")
+        for task in {row["task"] for row in default}
     }
-    listed = ", ".join(f"{share:.2f} on {task}" for task, share in draws.items())
+    ordered = sorted(draws.items(), key=lambda pair: pair[1])
+    listed = ", ".join(f"{share:.2f} on {task}" for task, share in ordered)
     assert f"at most {listed}" in text

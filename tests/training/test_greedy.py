@@ -49,7 +49,7 @@ def test_a_resumed_run_goes_on_with_the_same_stretches():
     assert (walk(other, 50, 0.5) == expected).all()
 
 
-@pytest.mark.parametrize(("curiosity_std", "share"), [(4.0, 0.25), (2.0, 0.75)])
+@pytest.mark.parametrize(("curiosity_std", "share"), [(4.0, 0.25), (1.0, 0.75)])
 def test_as_many_steps_of_a_run_are_greedy_as_the_agent_asks(curiosity_std, share):
     torch.manual_seed(0)
     learner = Learner(Config.of(hidden_dim=8, num_envs=20, replay_capacity=256), 3, 2)
