@@ -2,11 +2,11 @@
 
 import os
 import platform
+from collections.abc import Mapping
 from pathlib import Path
 
 import torch
 
-from deep_curiosity.benchmark.agents import Row
 from deep_curiosity.benchmark.sections import (
     AGENTS,
     SECTIONS,
@@ -14,14 +14,17 @@ from deep_curiosity.benchmark.sections import (
     LeftOutError,
 )
 from deep_curiosity.benchmark.tables import read_rows
-from deep_curiosity.experiments.tables import check_page, write_table
+from deep_curiosity.experiments.tables import check_page, read_table, write_table
 from deep_curiosity.speed.machine import fitted_machine
+from deep_curiosity.training.source import source_commit
 
 INTRODUCTION = """# Benchmark
 
 `make bench` measures all of this on one thread and writes this page. Tables show the
 median and `[lowest, highest]` over rounds, in each of which everything that is compared has its
-turn; ratios are taken within a round. The CSV files beside it have every round.
+turn; ratios are taken within a round. The CSV files beside it have every round. Each section names
+the commit that was measured: until `0ca7803` a curious agent had no greedy policy, and two critics
+of curiosity where it has one today.
 """
 MACHINES = "machine.csv"
 PAGE = "README.md"
@@ -66,7 +69,7 @@ def plot_section(out: Path, name: str) -> None:
 
 def write_page(out: Path) -> None:
     """Write `README.md` of whatever tables lie in the folder."""
-    machines = {row["section"]: row for row in read_rows(out / MACHINES)}
+    machines = {row["section"]: row for row in read_table(out / MACHINES)}
     text = [INTRODUCTION]
     for name, section in SECTIONS.items():
         if name in machines:
@@ -75,7 +78,7 @@ def write_page(out: Path) -> None:
 
 
 def note_machine(path: Path, section: str, command: str) -> None:
-    """Keep on what machine, and by what command, a section was measured."""
+    """Keep on what machine, by what command and at which commit a section was measured."""
     row = {
         "section": section,
         "cpu": cpu_name(),
@@ -84,8 +87,9 @@ def note_machine(path: Path, section: str, command: str) -> None:
         "torch": torch.__version__,
         "precision": torch.get_float32_matmul_precision(),
         "command": command,
+        "commit": source_commit(),
     }
-    write_table(path, [*(other for other in read_rows(path) if other["section"] != section), row])
+    write_table(path, [*(other for other in read_table(path) if other["section"] != section), row])
 
 
 def cpu_name() -> str:
@@ -99,9 +103,11 @@ def cpu_name() -> str:
     return f"{facts['model name']} (family {facts['cpu family']}, model {facts['model']})"
 
 
-def _machine_line(machine: Row) -> str:
+def _machine_line(machine: Mapping[str, str]) -> str:
     gpu = f"{machine['gpu']}, " if machine.get("gpu") else ""
+    commit = f" Commit: `{machine['commit']}`." if machine.get("commit") else ""
     return (
-        f"Machine: {gpu}{machine['cpu']}, {machine['cores']:.0f} cores, torch {machine['torch']}, "
-        f"matrix products {machine['precision']}. Command:\n\n```sh\n{machine['command']}\n```\n"
+        f"Machine: {gpu}{machine['cpu']}, {machine['cores']} cores, torch {machine['torch']}, "
+        f"matrix products {machine['precision']}.{commit} Command:\n\n"
+        f"```sh\n{machine['command']}\n```\n"
     )

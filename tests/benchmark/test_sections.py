@@ -3,9 +3,11 @@ from typing import get_args, get_type_hints
 import pytest
 import torch
 
+from deep_curiosity.benchmark import run
 from deep_curiosity.benchmark.run import note_machine, run_benchmark, write_page
 from deep_curiosity.benchmark.sections import SECTIONS, Benchmark, LeftOutError, Section
 from deep_curiosity.benchmark.tables import read_rows
+from deep_curiosity.experiments.tables import read_table
 
 
 def test_every_section_can_be_chosen():
@@ -44,6 +46,14 @@ def test_a_machine_is_noted_once_for_each_section(tmp_path):
         note_machine(tmp_path / "machine.csv", "bonus", command)
     (row,) = read_rows(tmp_path / "machine.csv")
     assert row["section"] == "bonus" and row["command"] == "second" and row["cores"] >= 1
+
+
+def test_a_commit_of_digits_alone_is_kept_as_it_is(tmp_path, monkeypatch):
+    monkeypatch.setattr(run, "source_commit", lambda: "0054877")
+    for section in ("vector", "bonus"):
+        note_machine(tmp_path / "machine.csv", section, "make bench")
+    rows = read_table(tmp_path / "machine.csv")
+    assert [row["commit"] for row in rows] == ["0054877", "0054877"]
 
 
 def test_the_committed_page_is_that_of_the_committed_tables(tmp_path, request):
