@@ -231,7 +231,7 @@ normalised returns with its 95 % interval:
 
 {markdown_table(["settings", "score"], lines)}
 
-[Trials](trials.csv), [best settings](trials.json), [runs of the scores](seeds.csv).
+[Trials](trials.csv), [best settings](trials.json), [scores](seeds.md), [their runs](seeds.csv).
 
 ```sh
 {command}
