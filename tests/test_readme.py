@@ -92,7 +92,7 @@ def test_the_hunger_of_the_caller_is_followed_as_written(tiny):
 
 def test_a_policy_is_used_and_exported_as_written(tiny, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    train(tiny.override(env_id="PointMaze", out="runs/maze"), show_progress=False)
+    train(tiny.override(env_id="PointMaze", out="runs/first"), show_progress=False)
     code = re.search(r"```python\n(import deep_curiosity as dc\n.*?)```", README, re.S)
     names = {}
     exec(code.group(1), names)
