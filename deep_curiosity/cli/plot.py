@@ -16,6 +16,8 @@ from deep_curiosity.arguments import read_arguments
 from deep_curiosity.cli.study import check_paths
 from deep_curiosity.configuration import Group
 from deep_curiosity.experiments.curves import (
+    ENDINGS,
+    check_place,
     find_runs,
     known_tags,
     plot_png,
@@ -23,9 +25,6 @@ from deep_curiosity.experiments.curves import (
     write_page,
 )
 from deep_curiosity.experiments.tables import output_path
-
-ENDINGS = (".png", ".html")
-"""Of the files that are written."""
 
 
 @dataclass(frozen=True)
@@ -36,7 +35,8 @@ class Args(Group):
     """Folders of runs, or folders below which runs lie."""
     out: Path = Path("runs/curves")
     """Path of the picture (.png) and the page (.html), without suffix. The page works without a
-    network: hover for numbers, choose agents and quantities."""
+    network: hover for numbers, choose agents and quantities. Files there that are none of a plot
+    are left alone."""
     tags: tuple[str, ...] = ()
     """Quantities of progress.csv, such as eval/return; by default returns, success, coverage and
     nats, as far as the runs have them. The picture shows the first alone where none is named."""
@@ -48,6 +48,7 @@ class Args(Group):
         """Refuse what cannot be written, before anything is read."""
         super().__post_init__()
         check_paths(self.out, ENDINGS)
+        check_place(self.out)
 
 
 def main(arguments: Sequence[str]) -> int:
@@ -55,8 +56,13 @@ def main(arguments: Sequence[str]) -> int:
     args = read_arguments(Args, arguments, description=__doc__, prog="deep-curiosity plot")
     runs = read_runs(find_runs(args.runs), args.group_by)
     tags = known_tags(runs, args.tags)
-    picture, page = (output_path(args.out, ending) for ending in ENDINGS)
-    plot_png(picture, runs, args.tags or tags[:1])
-    write_page(page, runs, tags)
+    page, picture = (output_path(args.out, ending) for ending in ENDINGS)
+    try:
+        write_page(page, runs, tags)
+        plot_png(picture, runs, args.tags or tags[:1])
+    except OSError as error:
+        raise OSError(
+            f"`out` must name files that can be written, got {args.out}: {error.strerror}."
+        ) from error
     print(f"{len(runs)} runs in {picture} and {page}")
     return 0

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 
 from deep_curiosity.experiments.figures import draw_curve, estimate_curve, label_beside, plain
 from deep_curiosity.experiments.study import Row
+from deep_curiosity.experiments.tables import output_path
 from deep_curiosity.training.config import IGNORED, run_key
 from deep_curiosity.training.log import (
     CONFIG,
@@ -21,6 +22,8 @@ from deep_curiosity.training.log import (
     parse_progress,
     read_values,
     run_folders,
+    write_text,
+    written_whole,
 )
 
 TAGS = (
@@ -36,6 +39,10 @@ OF_NO_AGENT = (*IGNORED, *OF_THE_TASK, "seed", "total_steps", "threads", "device
 """Settings in which runs of one agent may differ."""
 OF_EVERY_RUN = ("env_id", "bonus")
 """Settings without which a config.json is of something else."""
+ENDINGS = (".html", ".png")
+"""Of the page and the picture; the page goes first, as it says whose the picture is."""
+OWNER = '<meta name="generator" content="deep-curiosity plot">'
+"""By which a page is known as one that was written here."""
 ASSETS = files("deep_curiosity.experiments") / "assets"
 
 
@@ -235,6 +242,28 @@ def _names(runs: Sequence[RunCurves], attribute: str) -> list[str]:
     return list(dict.fromkeys(getattr(run, attribute) for run in runs))
 
 
+def check_place(out: Path) -> None:
+    """Refuse to write into a run, or over files, unless the page among them was written here.
+
+    Args:
+        out: Path of page and picture, without ending.
+
+    Raises:
+        FileExistsError: Naming the files.
+        ValueError: If the folder is that of a run.
+    """
+    if (out.parent / CONFIG).exists():
+        raise ValueError(f"`out` must name files outside of the folder of a run, got {out}.")
+    there = [path for ending in ENDINGS if (path := output_path(out, ending)).exists()]
+    page = output_path(out, ".html")
+    own = page.is_file() and OWNER in page.read_text(errors="replace")
+    if there and not own:
+        raise FileExistsError(
+            "`out` must name new files, or those of a plot, got "
+            f"{', '.join(map(str, there))}; choose another path."
+        )
+
+
 def plot_png(path: Path, runs: Sequence[RunCurves], tags: Sequence[str]) -> None:
     """A line of panels for each tag, one for each task: interquartile mean and 95 % interval."""
     tasks, agents = _names(runs, "task"), _names(runs, "agent")
@@ -253,7 +282,8 @@ def plot_png(path: Path, runs: Sequence[RunCurves], tags: Sequence[str]) -> None
             axes.set(title=plain(task), xlabel="environment steps", ylabel=plain(tag))
             label_beside(axes, ends)
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=120)
+    with written_whole(path) as partial:
+        figure.savefig(partial, dpi=120)
 
 
 def write_page(path: Path, runs: Sequence[RunCurves], tags: Sequence[str]) -> None:
@@ -267,7 +297,7 @@ def write_page(path: Path, runs: Sequence[RunCurves], tags: Sequence[str]) -> No
     for name, text in parts.items():
         page = page.replace(f"/*{name}*/", text)
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(page)
+    write_text(path, page)
 
 
 def page_data(runs: Sequence[RunCurves], tags: Sequence[str]) -> dict[str, Any]:

@@ -5,7 +5,8 @@ import io
 import json
 import os
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -146,13 +147,19 @@ def write_text(path: Path, text: str) -> None:
     Raises:
         OSError: If the disk is full or cannot be written; what was there is untouched.
     """
-    partial = path.with_name(f"{path.name}.partial")
+    with written_whole(path) as partial, partial.open("w", newline="") as file:
+        file.write(text)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+@contextmanager
+def written_whole(path: Path) -> Iterator[Path]:
+    """Path beside a file, with its suffix, of what takes its place once it is written whole."""
+    partial = path.with_name(f"{path.stem}.partial{path.suffix}")
     try:
-        with partial.open("w", newline="") as file:
-            file.write(text)
-            file.flush()
-            os.fsync(file.fileno())
-    except OSError:
+        yield partial
+    except BaseException:
         partial.unlink(missing_ok=True)
         raise
     partial.replace(path)

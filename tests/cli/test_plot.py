@@ -1,4 +1,7 @@
+import errno
+
 import pytest
+from matplotlib.figure import Figure
 
 from deep_curiosity.cli import main
 from deep_curiosity.training import train
@@ -51,3 +54,34 @@ def test_what_is_no_run_is_passed_over_and_a_run_that_is_written_is_drawn(tiny, 
         assert main(["plot", str(tmp_path), "--out", str(tmp_path / "curves")]) == 0
     assert capsys.readouterr().out.startswith("1 runs in ")
     assert len(warned) == 2
+
+
+def test_files_of_the_users_own_and_the_folder_of_a_run_are_left_alone(tiny, tmp_path, refusal):
+    train(tiny, show_progress=False)
+    picture, page = tmp_path / "mine.png", tmp_path / "mine.html"
+    for path in (picture, page):
+        path.write_text("mine")
+        answer = refusal("plot", tiny.run.out, "--out", tmp_path / "mine")
+        assert "`out` must name new files, or those of a plot, got " in answer
+        assert str(path) in answer and path.read_text() == "mine"
+    answer = refusal("plot", tiny.run.out, "--out", tiny.run.out / "run")
+    assert "`out` must name files outside of the folder of a run, got " in answer
+
+
+def test_a_plot_takes_the_place_of_the_last_one_once_it_is_whole(
+    tiny, tmp_path, monkeypatch, refusal
+):
+    def fails(figure, path, **options):
+        path.write_text("half")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    train(tiny, show_progress=False)
+    arguments = ["plot", str(tiny.run.out), "--out", str(tmp_path / "curves")]
+    for _ in range(2):
+        assert main(arguments) == 0
+    before = (tmp_path / "curves.png").read_bytes()
+    monkeypatch.setattr(Figure, "savefig", fails)
+    answer = refusal(*arguments)
+    assert f"`out` must name files that can be written, got {tmp_path / 'curves'}: No sp" in answer
+    assert (tmp_path / "curves.png").read_bytes() == before
+    assert not [*tmp_path.glob("*partial*")]
