@@ -18,11 +18,13 @@ from deep_curiosity.trained.policy import ActionBounds, TrainedPolicy
 from deep_curiosity.trained.source import (
     BONUS_WEIGHTS,
     SCALING_PREFIX,
+    USUAL_OBSERVATION,
     Trained,
     Weights,
     read_trained,
 )
 from deep_curiosity.training.log import CONFIG, WEIGHTS, write_json
+from deep_curiosity.training.outliers import FACTOR
 from deep_curiosity.training.spaces import SPACES
 
 Format = Literal["onnx", "torch", "safetensors"]
@@ -43,6 +45,7 @@ class Actor(nn.Module):
 
     low: Tensor
     high: Tensor
+    usual_observation: Tensor | None
 
     def __init__(self, policy: TrainedPolicy, *, curious: bool = False) -> None:
         super().__init__()
@@ -54,6 +57,8 @@ class Actor(nn.Module):
         self.scaling = policy.scaling
         self.action_dim = network.action_dim
         self.components = network.mixture_components
+        usual = policy.usual_observation
+        self.register_buffer(USUAL_OBSERVATION, None if usual is None else usual.float())
         self.register_buffer("low", torch.tensor(policy.spaces.action_low, dtype=torch.float32))
         self.register_buffer("high", torch.tensor(policy.spaces.action_high, dtype=torch.float32))
 
@@ -64,13 +69,22 @@ class Actor(nn.Module):
             observation: `(batch, observation_dim)`; windows where the run stacked frames.
             hunger: `(batch, 1)`, of a run that is conditioned on it.
         """
-        value = observation if self.scaling is None else self.scaling(observation)
+        value = self._cut(observation)
+        value = value if self.scaling is None else self.scaling(value)
         value = value if hunger is None else torch.cat([value, hunger], dim=-1)
         for layer in self.layers[:-1]:
             value = torch.relu(layer(value))
         action = torch.tanh(self._centre(self.layers[-1](value)))
         rescaled = self.low + (self.high - self.low) * (action + 1) / 2
         return torch.minimum(torch.maximum(rescaled, self.low), self.high)
+
+    def _cut(self, observation: Tensor) -> Tensor:
+        """What is absurd at its usual size, as `predict` takes it."""
+        usual = self.usual_observation
+        if usual is None:
+            return observation
+        absurd = observation.abs() > FACTOR * usual
+        return torch.where(absurd, observation.sign() * usual, observation)
 
     def _centre(self, output: Tensor) -> Tensor:
         """Mean of the weightiest component."""
@@ -240,7 +254,9 @@ def _write_folder(trained: Trained, policy: TrainedPolicy, out: Path) -> None:
     write_json(out / CONFIG, kept)
     write_json(out / SPACES, policy.spaces.to_json())
     scaling = {SCALING_PREFIX + name: value for name, value in trained.scaling.items()}
-    save_file(_contiguous(trained.policy | scaling), out / WEIGHTS)
+    usual = trained.usual_observation
+    sizes = {} if usual is None else {USUAL_OBSERVATION: usual}
+    save_file(_contiguous(trained.policy | scaling | sizes), out / WEIGHTS)
     if trained.bonus:
         save_file(_contiguous(trained.bonus), out / BONUS_WEIGHTS)
 

@@ -15,6 +15,7 @@ from deep_curiosity.nn.statistics import InputScaling
 from deep_curiosity.trained.source import Trained, Weights, read_trained
 from deep_curiosity.training.checkpoint import load_weights
 from deep_curiosity.training.hunger import battery_hunger
+from deep_curiosity.training.outliers import cut_absurd
 from deep_curiosity.training.spaces import SPACES, TaskSpaces
 from deep_curiosity.training.windows import first_window, next_window
 
@@ -40,6 +41,7 @@ class TrainedPolicy:
         self.config = trained.config
         self.network = make_policy(trained)
         self.scaling = make_scaling(trained)
+        self.usual_observation = trained.usual_observation
         self.num_frames = trained.config.environment.frame_stack
         self.spaces = task_spaces(trained, self.network, action_bounds)
 
@@ -65,6 +67,9 @@ class TrainedPolicy:
         hunger: Numbers | None = None,
     ) -> tuple[NDArray[Any], State | None]:
         """Choose actions.
+
+        An entry of an observation that is absurd, beyond a hundred times its usual size in the
+        run, is taken to be of that size, as it was in training.
 
         Args:
             observation: `(observation_dim,)` or `(batch, observation_dim)`, or dictionaries as the
@@ -93,7 +98,7 @@ class TrainedPolicy:
         vector = self.spaces.to_vector(observation)
         batch = as_batch("observation", vector, self.spaces.observation_dim)
         window = self._window(batch, state, episode_start)
-        entered = self._policy_input(window, hunger)
+        entered = self._policy_input(self._cut(window), hunger)
         mixture = self.network(torch.from_numpy(entered), -1 if curious else 0)
         if deterministic:
             pre_action = mixture.select(mixture.log_weight.argmax(-1))[0]
@@ -121,6 +126,11 @@ class TrainedPolicy:
         later = next_window(window, action, batch)
         begins = np.zeros(len(batch), dtype=bool) if episode_start is None else episode_start
         return np.where(np.reshape(begins, (-1, 1)), first, later)
+
+    def _cut(self, window: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The windows with nothing absurd in them, as the run was shown them."""
+        usual = self.usual_observation
+        return window if usual is None else cut_absurd(window, usual.numpy())
 
     def _policy_input(
         self, window: NDArray[np.float32], hunger: Numbers | None

@@ -15,6 +15,7 @@ from deep_curiosity.training.spaces import TaskSpaces, read_spaces
 BONUS_WEIGHTS = "bonus.safetensors"
 POLICY_PREFIX = "policy."
 SCALING_PREFIX = "observation_scaling."
+USUAL_OBSERVATION = "usual_observation"
 
 Weights = dict[str, Tensor]
 
@@ -31,6 +32,13 @@ class Trained(NamedTuple):
     """What brings observations to a size; nothing where the policy sees them as they are."""
     bonus: Weights
     """Models and statistics of the bonus; nothing where there is no bonus."""
+    usual_observation: Tensor | None
+    """How large each entry usually is of what the policy is shown, a window where frames are
+    stacked; `None` for a run, or an export, that is too old to say."""
+
+
+Learned = tuple[Weights, Weights, Weights, Tensor | None]
+"""The last four of `Trained`."""
 
 
 def read_trained(folder: str | Path) -> Trained:
@@ -47,8 +55,8 @@ def read_trained(folder: str | Path) -> Trained:
     # where and how it was trained matters no more: the GPU may not be here
     values = read_values(folder) | {"device": "cpu", "out": str(folder)}
     config = Config.from_json(_with_younger(values), source=str(folder / CONFIG))
-    weights = _read_export(folder) if (folder / WEIGHTS).exists() else _read_run(folder)
-    return Trained(folder, config, read_spaces(folder), *weights)
+    learned = _read_export(folder) if (folder / WEIGHTS).exists() else _read_run(folder)
+    return Trained(folder, config, read_spaces(folder), *learned)
 
 
 def _with_younger(values: dict[str, Any]) -> dict[str, Any]:
@@ -57,21 +65,23 @@ def _with_younger(values: dict[str, Any]) -> dict[str, Any]:
     return Config.of(bonus=kind).to_json() | values if kind in BONUS_CONFIGS else values
 
 
-def _read_run(folder: Path) -> tuple[Weights, Weights, Weights]:
-    learner = load_checkpoint(folder)["learner"]
-    agent = learner["agent"]
-    return _under(POLICY_PREFIX, agent), _under(SCALING_PREFIX, agent), learner["bonus"]
+def _read_run(folder: Path) -> Learned:
+    checkpoint = load_checkpoint(folder)
+    agent, bonus = checkpoint["learner"]["agent"], checkpoint["learner"]["bonus"]
+    usual = checkpoint["collector"].get(USUAL_OBSERVATION)
+    return _under(POLICY_PREFIX, agent), _under(SCALING_PREFIX, agent), bonus, usual
 
 
-def _read_export(folder: Path) -> tuple[Weights, Weights, Weights]:
+def _read_export(folder: Path) -> Learned:
     require("safetensors", extra="export")
     from safetensors.torch import load_file
 
     bonus = folder / BONUS_WEIGHTS
     weights = load_file(folder / WEIGHTS)
+    usual = weights.pop(USUAL_OBSERVATION, None)
     scaling = _under(SCALING_PREFIX, weights)
     policy = {name: weights[name] for name in weights if not name.startswith(SCALING_PREFIX)}
-    return policy, scaling, load_file(bonus) if bonus.exists() else {}
+    return policy, scaling, load_file(bonus) if bonus.exists() else {}, usual
 
 
 def _under(prefix: str, weights: Weights) -> Weights:

@@ -34,13 +34,24 @@ class UsualSize:
 
     def cut(self, value: np.ndarray) -> np.ndarray:
         """The value, `(rows, dim)` and finite, with nothing absurd in it; learns from it."""
-        size = np.abs(value)
-        exceeds = (size > self.size).mean(0)
-        absurd, usual = size > FACTOR * self.size, self.kept * self.size
+        exceeds = (np.abs(value) > self.size).mean(0)
+        cut = cut_absurd(value, self.size, self.kept)
         self.size = np.maximum(self.size * np.exp(RISE * (exceeds - SHARE)), self.floor)
-        if not absurd.any():
-            return value
-        return np.where(absurd, np.sign(value) * usual, value).astype(value.dtype)
+        return cut
+
+
+def cut_absurd(value: np.ndarray, usual: np.ndarray, kept: float = 1.0) -> np.ndarray:
+    """A value, `(rows, dim)` and finite, with nothing absurd in it; itself where there is nothing.
+
+    Args:
+        value: To be cut.
+        usual: `(dim,)`, how large each entry usually is.
+        kept: How much of an absurd number is kept, in usual sizes.
+    """
+    absurd = np.abs(value) > FACTOR * usual
+    if not absurd.any():
+        return value
+    return np.where(absurd, np.sign(value) * (kept * usual), value).astype(value.dtype)
 
 
 def usual_size(low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -15,6 +15,7 @@ from deep_curiosity.training.windows import window_dim
 pytest.importorskip("safetensors")
 RNG = np.random.default_rng(0)
 OBSERVATIONS = RNG.normal(size=(5, 3)).astype(np.float32)
+OBSERVATIONS[3, 1] = -1e5  # absurd
 HUNGER = np.array([0, 0.25, 0.5, 0.75, 1], np.float32)
 CONDITIONED = {"hunger": "conditioned:0.5", "policy_mixture_components": 2}
 RAW = {"normalize_observations": False}
@@ -96,6 +97,21 @@ def test_a_folder_is_loaded_as_the_run_is(run_of, tmp_path, settings):
         state = dc.load_bonus(folder).state_dict()
         for name, value in dc.load_bonus(out).state_dict().items():
             torch.testing.assert_close(value, state[name], rtol=0, atol=0, equal_nan=True)
+
+
+def test_a_folder_that_is_older_than_the_cut_of_absurd_numbers_acts_as_before(run_of, tmp_path):
+    from safetensors.torch import load_file, save_file
+
+    out = dc.export(run_of(), tmp_path / "policy")
+    weights = load_file(out / "policy.safetensors")
+    del weights["usual_observation"]
+    save_file(weights, out / "policy.safetensors")
+    now, before = (dc.load(each).predict(OBSERVATIONS)[0] for each in (run_of(), out))
+    np.testing.assert_array_equal(now[:3], before[:3])
+    assert not np.allclose(now[3], before[3], rtol=0, atol=1e-2)
+    path = dc.export(out, tmp_path / "policy.pt2")
+    action = run_torch(path, {"observation": OBSERVATIONS})
+    np.testing.assert_allclose(action, before, rtol=0, atol=1e-6)
 
 
 def test_the_model_goes_with_the_folder(run_of, tmp_path):

@@ -12,7 +12,8 @@ from gymnasium.wrappers import RescaleAction
 import deep_curiosity as dc
 from deep_curiosity.training.environments import make_environment
 from deep_curiosity.training.log import read_config
-from deep_curiosity.training.playback import load_agent, load_policy
+from deep_curiosity.training.playback import load_agent, load_policy, load_usual_observation
+from deep_curiosity.training.windows import first_window
 from tests.trained.conftest import HIGH, LOW, TASK, Slope
 
 OBSERVATIONS = np.random.default_rng(0).normal(size=(5, 3)).astype(np.float32)
@@ -99,6 +100,24 @@ def test_an_episode_goes_as_in_the_runs_own_evaluations(run_of, settings):
         observation, reward, _, ended, _ = bare.step(action)
         assert reward == pytest.approx(expected, abs=1e-5)
     np.testing.assert_allclose(observation, shown[-3:], rtol=0, atol=1e-5)
+
+
+@pytest.mark.parametrize("frame_stack", [1, 3])
+def test_an_absurd_entry_is_taken_at_its_usual_size_as_in_training(run_of, frame_stack):
+    folder = run_of(frame_stack=frame_stack)
+    policy, usual = dc.load(folder), load_usual_observation(folder)
+    observation = OBSERVATIONS.copy()
+    observation[1:3, 0] = 1e4, -1e6
+    window = first_window(observation, 2, frame_stack)
+    shown = np.where(np.abs(window) > 100 * usual, np.sign(window) * usual, window)
+    expected = agent_of(folder).act(
+        torch.from_numpy(shown.astype(np.float32)), deterministic=True, greedy=True
+    )
+    action, _ = policy.predict(observation)
+    np.testing.assert_allclose(action, in_units_of_the_task(expected), rtol=0, atol=1e-6)
+    policy.usual_observation = None  # as of a run that is older than the cut
+    raw, _ = policy.predict(observation)
+    assert not np.allclose(raw[1:3], action[1:3], rtol=0, atol=1e-2)
 
 
 def test_a_window_begins_anew_where_an_episode_does(run_of):
