@@ -446,6 +446,7 @@ TABULAR_ARRAYS = {
     "log_marginal": array(STATES, log=True),
     "log_reference": array(STATES, CHOICES, log=True),
     "log_weight": array(STATES, CHOICES),
+    "weight": array(STATES, CHOICES, normalised=True),
     "target": array(STATES, CHOICES, log=True),
     "divergence": array(STATES, CHOICES),
     "score": array(STATES, CHOICES),
@@ -493,7 +494,7 @@ def of_tabular() -> Iterator[Target]:
         environments, far_sighted, information, iteration, markov, neighbours, policies,
         rate_return, solvers, tabular_schedules, estimators,
     )  # fmt: skip
-    infinite = {"kl_divergence", "curiosity", "safe_log"}
+    infinite = {"kl_divergence", "curiosity", "curious_score", "safe_log"}
     for module in modules:
         for name, function in vars(module).items():
             own = getattr(function, "__module__", "") == module.__name__ and name[0] != "_"
