@@ -16,7 +16,7 @@ import tyro
 from deep_curiosity.arguments import check_folder, read_arguments
 from deep_curiosity.configuration import MOST_SEED, Group, setting
 from deep_curiosity.training.collector import Episode, evaluate
-from deep_curiosity.training.environments import make_environment
+from deep_curiosity.training.environments import make_environment, task_spaces
 from deep_curiosity.training.log import read_config
 from deep_curiosity.training.playback import (
     check_video,
@@ -26,6 +26,7 @@ from deep_curiosity.training.playback import (
     record_episode,
     write_video,
 )
+from deep_curiosity.training.spaces import check_same_task
 
 
 @dataclass(frozen=True)
@@ -57,6 +58,7 @@ def main(arguments: Sequence[str]) -> int:
     args = read_arguments(Args, arguments, description=__doc__, prog="deep-curiosity evaluate")
     config = read_config(args.folder)
     environment = make_environment(config.environment)
+    check_same_task(task_spaces(environment), args.folder)
     hungers = args.hunger or (None,)
     policies = [load_policy(args.folder, config, environment, hunger=hunger) for hunger in hungers]
     usual = load_usual_observation(args.folder)

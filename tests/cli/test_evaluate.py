@@ -110,3 +110,12 @@ def test_a_missing_video_package_is_asked_for_by_name(tmp_path, monkeypatch, ref
     for command in (["evaluate", tmp_path], ["demo"]):
         answer = refusal(*command, "--video", tmp_path / "film.gif")
         assert "pip install 'deep-curiosity[video]'" in answer
+
+
+def test_another_task_than_that_of_the_run_is_not_played(tiny, tmp_path, monkeypatch, refusal):
+    gymnasium.register("evaluate/Renewed-v0", Unseen)
+    train(tiny.override(env_id="evaluate/Renewed-v0", env_kwargs={}), show_progress=False)
+    monkeypatch.setattr(Unseen, "action_space", gymnasium.spaces.Box(-2.0, 2.0, (1,)))
+    answer = refusal("evaluate", tiny.run.out, "--episodes", 1)
+    assert "`env_id` must name the task of the run in" in answer
+    assert "action_low is (-1.0,), got one whose action_low is (-2.0,)" in answer
