@@ -42,12 +42,18 @@ def plot_run(folder: Path) -> Path:
         features = 0, state["collector"]["observation"].shape[-1] - 1
     else:
         features = picture_features(config.environment)
-    _plot_states(states, state["learner"]["replay"]["rows"].numpy(), features)
+    _plot_states(states, _in_order(state["learner"]["replay"]), features)
     title = f"{config.environment.env_id}, bonus {config.bonus.kind}, seed {config.run.seed}"
     figure.suptitle(title)
     path = folder / PICTURE
     figure.savefig(path, dpi=110)
     return path
+
+
+def _in_order(replay: dict[str, Any]) -> np.ndarray:
+    """Rows of a replay buffer from the oldest to the newest, which may stand before it."""
+    rows = replay["rows"].numpy()
+    return np.roll(rows, -(replay["num_added"] % max(1, len(rows))), axis=0)
 
 
 def _columns(rows: list[dict[str, str]]) -> dict[str, np.ndarray]:

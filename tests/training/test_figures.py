@@ -73,6 +73,15 @@ def test_the_states_are_those_visited_in_the_two_features_of_the_task(tiny, plot
     assert (states.get_xlabel(), states.get_ylabel()) == ("observation[0]", "observation[2]")
 
 
+def test_the_states_go_from_the_oldest_to_the_newest_where_replay_is_full(tiny, plotted):
+    config = tiny.override(replay_capacity=40)
+    train(config, show_progress=False)
+    _, _, states, _ = plotted(config.run.out)
+    (points,) = states.collections
+    rows = load_checkpoint(config.run.out)["learner"]["replay"]["rows"].numpy()
+    np.testing.assert_array_equal(points.get_offsets()[20:], rows[:20, [0, 2]])
+
+
 def test_without_a_bonus_the_picture_says_so(tiny, plotted):
     train(tiny.override(bonus="none"), show_progress=False)
     _, bonus, *_ = plotted(tiny.run.out)
