@@ -47,7 +47,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: The name of the command and what it is given; those of the process when `None`.
 
     Returns:
-        Exit status: 0 where all went well, 1 where something that was tried failed.
+        Exit status: 0 where all went well, 1 where something that was tried failed, 130 or 143
+        where Ctrl-C or SIGTERM stopped a run, which is saved.
 
     Raises:
         SystemExit: With status 2 after a mistake of the user, which is answered in one line, and

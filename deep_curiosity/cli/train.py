@@ -7,13 +7,17 @@ require_training()
 
 from collections.abc import Sequence
 
+from deep_curiosity.cli import INTERRUPTED
 from deep_curiosity.training import train
 from deep_curiosity.training.callbacks import stop_when_solved
 from deep_curiosity.training.command_line import parse
 
+STATUS = {"SIGINT": INTERRUPTED, "SIGTERM": 143}
+"""Exit status by the signal that stopped a run, as of a shell's command that it has ended."""
+
 
 def main(arguments: Sequence[str]) -> int:
-    """Train, and say where the run lies."""
+    """Train, and say where the run lies; return whether a signal stopped it."""
     command = parse(arguments, description=__doc__ or "", prog="deep-curiosity train")
     solved = command.stop_when_solved
     on_evaluation = None if solved is None else stop_when_solved(solved)
@@ -25,4 +29,4 @@ def main(arguments: Sequence[str]) -> int:
     )
     folder = command.config.run.out
     print(f"evaluation return {summary['evaluation_return']}, records in {folder}")
-    return 0
+    return STATUS.get(summary["stopped_by"], 0)

@@ -8,6 +8,8 @@ import numpy as np
 Callback = Callable[[int, Mapping[str, float]], bool | None]
 """From the step and the values at it, by their tags, to whether the run is to stop. A value that
 is not known, such as the success rate of a task that defines none, is NaN."""
+CALLBACK = "callback"
+"""What a run is said to be `stopped_by` where one of these asked to."""
 
 
 def call(callback: Callback | None, step: int, values: Mapping[str, float] | None) -> bool:

@@ -18,6 +18,8 @@ class Interruption:
 
     def __init__(self) -> None:
         self.requested = False
+        self.by = signal.SIGINT.name
+        """Signal that a request came by; those of other threads are as good as Ctrl-C."""
         self.at_once = False
         """Whether a request cuts off what is being done."""
 
@@ -30,7 +32,7 @@ class Interruption:
         """
         if self.requested and signum == signal.SIGINT:
             raise KeyboardInterrupt
-        self.requested = True
+        self.requested, self.by = True, signal.Signals(signum).name
         if self.at_once:
             self.at_once = False
             raise Interrupted

@@ -13,7 +13,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from deep_curiosity.training.callbacks import Callback, call
+from deep_curiosity.training.callbacks import CALLBACK, Callback, call
 from deep_curiosity.training.collector import Episode
 from deep_curiosity.training.config import Config
 from deep_curiosity.training.environments import MakeEnv
@@ -60,7 +60,8 @@ def train(
             run computes and how to go on with one that is stopped.
 
     Returns:
-        The summary of the run, as in its `summary.json`.
+        The summary of the run, as in its `summary.json`; `stopped_by` is `None` after all steps,
+        "callback", or the signal, "SIGINT" or "SIGTERM".
 
     Raises:
         DivergedError: If a loss or a weight is no longer finite; the last good checkpoint stays.
@@ -90,19 +91,21 @@ def train(
         ) as bar,
     ):
         total_steps = run.config.run.total_steps
+        asked = False
 
         # 2. Repeat at every time step, in all environments at once
         with suppress(Interrupted):
-            while not run.finished and not interruption.requested:
+            while not (run.finished or asked or interruption.requested):
                 if not run.unrecorded:  # else it was stopped in the evaluation of this step
                     _take_step(run)
-                interruption.requested |= _record_step(run, bar, on_evaluation, on_log)
+                asked = _record_step(run, bar, on_evaluation, on_log)
                 bar.update(min(run.run_log.step, total_steps) - bar.n)
 
         # 3. Close
         bar.close()
         run.save()
-        summary = run.write_summary()
+        stopped_by = None if run.finished else CALLBACK if asked else interruption.by
+        summary = run.write_summary(stopped_by)
         _plot(run.folder)
         if show_progress and not run.finished:
             out, step = run.config.run.out, run.run_log.step

@@ -370,8 +370,8 @@ class Run:
             f"{broken} at step {self.run_log.step} of {folder}: the run has diverged; {good}."
         )
 
-    def write_summary(self) -> dict[str, Any]:
-        """Write the figures by which runs are compared."""
+    def write_summary(self, stopped_by: str | None = None) -> dict[str, Any]:
+        """Write the figures by which runs are compared, and what stopped this one early."""
         config = self.config
         summary = {
             "env_id": config.environment.env_id,
@@ -379,6 +379,7 @@ class Run:
             "bonus": config.bonus.kind,
             "prior": config.agent.prior_of(curiosity=self.learner.agent.curiosity),
             "total_steps": self.run_log.step,
+            "stopped_by": stopped_by,
             **self.run_log.summary(num_cells(self.evaluation_environment)),
             "peak_memory_megabytes": peak_memory_megabytes(),
             "versions": {

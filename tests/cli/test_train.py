@@ -1,8 +1,13 @@
 import json
+import os
+import signal
 import subprocess
 import sys
 
 import pytest
+
+from deep_curiosity.cli import main
+from deep_curiosity.training.learner import Learner
 
 TINY = (
     "--total-steps 60 --learning-starts 20 --hidden-dim 16 --batch-size 32 --components 16 "
@@ -30,6 +35,27 @@ def test_train_resume_and_evaluate(tmp_path):
     evaluated = run("evaluate", out, "--episodes", 2)
     assert evaluated.returncode == 0, evaluated.stderr
     assert evaluated.stdout.startswith("PointMaze: return ")
+
+
+@pytest.mark.parametrize(
+    ("sent", "status"), [(None, 0), (signal.SIGINT, 130), (signal.SIGTERM, 143)]
+)
+def test_the_exit_status_says_whether_a_signal_stopped_the_run(
+    tmp_path, monkeypatch, sent, status
+):
+    update = Learner.update
+
+    def interrupted(self):
+        if sent is not None and len(self.replay) == 33:
+            os.kill(os.getpid(), sent)
+        return update(self)
+
+    monkeypatch.setattr(Learner, "update", interrupted)
+    solved = ["--evaluation-interval", "40", "--stop-when-solved=-1"]
+    arguments = ["train", "--env-id", "PointMaze", *TINY, *solved, "--out", str(tmp_path / "run")]
+    assert main(arguments) == status
+    summary = json.loads((tmp_path / "run" / "summary.json").read_text())
+    assert summary["stopped_by"] == ("callback" if sent is None else sent.name)
 
 
 @pytest.mark.parametrize(

@@ -30,12 +30,12 @@ def test_evaluations_and_rows_are_told_as_they_are_recorded(tiny):
 def test_a_callback_stops_a_run_that_can_be_continued(tiny, told, stopped_at):
     tiny = tiny.override(learning_starts=10)
     stopped = train(tiny, show_progress=False, **{told: lambda step, values: True})
-    assert stopped["total_steps"] == stopped_at
+    assert stopped["total_steps"] == stopped_at and stopped["stopped_by"] == "callback"
     steps = []
     continued = continue_run(
         tiny.run.out, on_log=lambda step, values: steps.append(step), show_progress=False
     )
-    assert continued["total_steps"] == 60
+    assert continued["total_steps"] == 60 and continued["stopped_by"] is None
     assert steps == [step for step in (20, 40, 60) if step > stopped_at]
 
 

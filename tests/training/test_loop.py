@@ -562,7 +562,7 @@ def test_ctrl_c_ends_after_the_step_with_a_checkpoint(tiny, monkeypatch, capsys)
 
     monkeypatch.setattr(Learner, "update", interrupting)
     summary = train(tiny)
-    assert summary["total_steps"] == 33
+    assert summary["total_steps"] == 33 and summary["stopped_by"] == "SIGINT"
     assert load_checkpoint(tiny.run.out)["run_log"]["step"] == 33
     assert f"--resume {tiny.run.out}" in capsys.readouterr().out
     monkeypatch.undo()
