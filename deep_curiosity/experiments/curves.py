@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from deep_curiosity.experiments.figures import draw_curve, estimate_curve, label_beside, plain
 from deep_curiosity.experiments.study import Row
 from deep_curiosity.experiments.tables import output_path
+from deep_curiosity.training.callbacks import CALLBACK
 from deep_curiosity.training.config import IGNORED, run_key
 from deep_curiosity.training.log import (
     CONFIG,
@@ -59,7 +60,7 @@ class RunCurves:
         task: Its environment, with arguments.
         agent: What sets it apart from the other runs.
         rows: Rows of its progress.csv, as numbers; what is missing is NaN.
-        was_stopped: Whether it was ended before its steps were taken, as one that is solved.
+        was_stopped: Whether a callback ended it before its last step, as one that is solved.
     """
 
     folder: Path
@@ -113,9 +114,7 @@ def read_runs(folders: Sequence[Path], group_by: Sequence[str] = ()) -> list[Run
         raise ValueError(f"`group_by` must be settings of the runs, got {', '.join(unknown)}.")
     names = group_by or _differing(settings)
     return [
-        RunCurves(
-            folder, _task_of(values), _agent_of(values, names), rows, _was_stopped(folder, values)
-        )
+        RunCurves(folder, _task_of(values), _agent_of(values, names), rows, _was_stopped(folder))
         for folder, (values, rows) in found.items()
     ]
 
@@ -133,11 +132,11 @@ def _each_once(found: dict[Path, FoundRun]) -> dict[Path, FoundRun]:
     return {folder: own for folder, own in found.items() if folder in kept.values()}
 
 
-def _was_stopped(folder: Path, values: dict[str, Any]) -> bool:
-    """Whether a run has come to its end before its steps were taken."""
+def _was_stopped(folder: Path) -> bool:
+    """Whether a callback has ended a run; one that a signal cut off would have gone on."""
     try:
         summary = json.loads((folder / SUMMARY).read_text())
-        return bool(summary["total_steps"] < values["total_steps"])
+        return bool(summary["stopped_by"] == CALLBACK)
     except (OSError, ValueError, KeyError, TypeError):  # it has not ended, or nothing is known
         return False
 

@@ -137,12 +137,21 @@ def test_a_run_that_was_stopped_keeps_its_last_value_while_others_go_on(tmp_path
         is_solved = seed < 6
         write_run(tmp_path / f"{seed}", config, [0.0, 100.0] if is_solved else [0.0] * 5)
         if is_solved:
-            (tmp_path / f"{seed}" / "summary.json").write_text('{"total_steps": 1000}')
+            (tmp_path / f"{seed}" / "summary.json").write_text('{"stopped_by": "callback"}')
     runs = read_runs(find_runs([tmp_path]))
     panel = page_data(runs, ["eval/return"])["curves"]["PointMaze"]["eval/return"]
     (agent,) = panel["agents"].values()
     assert agent["value"] == [0.0, 100.0, 100.0, 100.0, 100.0]
     assert agent["runs"][str(tmp_path / "0")] == [0.0, 100.0, None, None, None]
+
+
+def test_a_run_that_a_signal_cut_off_ends_where_it_was(tmp_path):
+    for seed, returns in enumerate([[0.0, 50.0], [0.0, 50.0, 100.0]]):
+        write_run(tmp_path / f"{seed}", Config.of(env_id="PointMaze", seed=seed), returns)
+    (tmp_path / "0" / "summary.json").write_text('{"total_steps": 1000, "stopped_by": "SIGINT"}')
+    panel = page_data(read_runs(find_runs([tmp_path])), ["eval/return"])["curves"]["PointMaze"]
+    (agent,) = panel["eval/return"]["agents"].values()
+    assert agent["value"] == [0.0, 50.0, 100.0]
 
 
 def test_a_copy_of_a_run_is_no_seed_of_its_own(tmp_path):
