@@ -25,6 +25,7 @@ from deep_curiosity.training.environments import action_dim, make_environment, o
 from deep_curiosity.training.hunger import make_hunger_controller
 from deep_curiosity.training.interfaces import Policy
 from deep_curiosity.training.learner import make_evaluation_policy
+from deep_curiosity.training.log import written_whole
 from deep_curiosity.training.parts import make_agent
 
 
@@ -164,7 +165,7 @@ def check_video(path: Path | None) -> None:
 
 
 def write_video(path: Path, frames: list[NDArray[np.uint8]], *, fps: int) -> None:
-    """Write frames to a new file whose suffix names the format, such as .mp4 or .gif.
+    """Write frames to a new file, whose suffix names the format, whole or not at all.
 
     Raises:
         FileExistsError: If the file is there.
@@ -176,7 +177,8 @@ def write_video(path: Path, frames: list[NDArray[np.uint8]], *, fps: int) -> Non
     check_new(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     pace: dict[str, Any] = {"duration": 1000 / fps} if path.suffix == ".gif" else {"fps": fps}
-    imageio.mimwrite(path, list(frames), **pace)
+    with written_whole(path) as partial:
+        imageio.mimwrite(partial, list(frames), **pace)
 
 
 def check_new(path: Path) -> None:

@@ -105,6 +105,20 @@ def test_a_video_holds_its_frames(tmp_path):
     assert [int(frame[0, 0, 0]) for frame in shown] == [0, 60, 120, 180]
 
 
+def test_a_video_that_fails_does_not_block_its_name(tmp_path, monkeypatch):
+    def fails(path, frames, **pace):
+        assert path.suffix == ".gif"
+        path.write_text("half")
+        raise KeyboardInterrupt
+
+    frames = [np.zeros((16, 16, 3), np.uint8)] * 2
+    with monkeypatch.context() as patched, pytest.raises(KeyboardInterrupt):
+        patched.setattr(imageio, "mimwrite", fails)
+        write_video(tmp_path / "video.gif", frames, fps=10)
+    assert not [*tmp_path.iterdir()]
+    write_video(tmp_path / "video.gif", frames, fps=10)
+
+
 def test_frames_stay_as_they_were_when_the_renderer_reuses_its_memory():
     class Drawn(gymnasium.Env):
         observation_space = action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,))
