@@ -15,7 +15,8 @@ from deep_curiosity.experiments.figures import draw_curve, estimate_curve, label
 from deep_curiosity.experiments.study import Row
 from deep_curiosity.experiments.tables import output_path
 from deep_curiosity.training.callbacks import CALLBACK
-from deep_curiosity.training.config import IGNORED, run_key
+from deep_curiosity.training.config import CHANGEABLE, IGNORED, config_key, run_key
+from deep_curiosity.training.environments import MADE_BY_FUNCTION
 from deep_curiosity.training.log import (
     CONFIG,
     PROGRESS,
@@ -93,8 +94,8 @@ def read_runs(folders: Sequence[Path], group_by: Sequence[str] = ()) -> list[Run
 
     A folder that holds no run, or one whose progress.csv is damaged, is passed over with a
     warning; one whose last row is cut off, as it is being written, is read up to there, with a
-    warning. A folder without rows, such as an exported policy, is left out. Of runs that differ
-    in nothing but where they lie the longest one counts, with a warning.
+    warning. A folder without rows, such as an exported policy, is left out. Of a run and its
+    copies, which may have gone on, the longest one counts, with a warning.
 
     Args:
         folders: Of the runs.
@@ -121,15 +122,43 @@ def read_runs(folders: Sequence[Path], group_by: Sequence[str] = ()) -> list[Run
 
 def _each_once(found: dict[Path, FoundRun]) -> dict[Path, FoundRun]:
     """The runs without copies, which would count as seeds of their own."""
-    kept: dict[str, Path] = {}
+    kept: dict[str, list[Path]] = {}
     for folder in sorted(found, key=lambda folder: -found[folder][1][-1]["step"]):
-        key = run_key(found[folder][0])
-        if key in kept:
+        own = kept.setdefault(_lasting_key(found[folder][0]), [])
+        same = [longer for longer in own if _is_copy(found[folder], found[longer])]
+        if same:
             warnings.warn(
-                f"{folder} is passed over: it is the same run as {kept[key]}.", stacklevel=3
+                f"{folder} is passed over: it is the same run as {same[0]}.", stacklevel=3
             )
-        kept.setdefault(key, folder)
-    return {folder: own for folder, own in found.items() if folder in kept.values()}
+        else:
+            own.append(folder)
+    distinct = {folder for folders in kept.values() for folder in folders}
+    return {folder: own for folder, own in found.items() if folder in distinct}
+
+
+def _lasting_key(values: dict[str, Any]) -> str:
+    """What no copy of a run can go on without."""
+    own = {name: value for name, value in config_key(values).items() if name not in CHANGEABLE}
+    return json.dumps(own, sort_keys=True)
+
+
+def _is_copy(run: FoundRun, longer: FoundRun) -> bool:
+    """Whether a run has all settings of a longer one, or is as that one began.
+
+    Settings alone do not tell apart what functions of the caller's own have made.
+    """
+    (values, rows), (others, more) = run, longer
+    if values["env_id"] != MADE_BY_FUNCTION and run_key(values) == run_key(others):
+        return True
+    return _untimed(rows) == _untimed(more[: len(rows)])
+
+
+def _untimed(rows: list[dict[str, float]]) -> list[dict[str, str]]:
+    """Rows without the clock, as texts, of which one that says NaN equals itself."""
+    return [
+        {tag: str(value) for tag, value in row.items() if not tag.startswith("time/")}
+        for row in rows
+    ]
 
 
 def _was_stopped(folder: Path) -> bool:

@@ -162,6 +162,26 @@ def test_a_copy_of_a_run_is_no_seed_of_its_own(tmp_path):
     assert run.folder == tmp_path / "b"
 
 
+def test_a_copy_that_went_on_is_no_seed_of_its_own(tmp_path):
+    config = Config.of(env_id="PointMaze", total_steps=1_000)
+    write_run(tmp_path / "first", config, [1.0, 2.0])
+    longer = config.override(total_steps=1_500, log_interval=100)
+    write_run(tmp_path / "longer", longer, [1.0, 2.0, 3.0])
+    with pytest.warns(UserWarning, match="first is passed over: it is the same run as .*longer"):
+        (run,) = read_runs(find_runs([tmp_path]))
+    assert run.folder == tmp_path / "longer"
+
+
+def test_runs_of_other_functions_or_other_rounding_are_no_copies(tmp_path):
+    config = Config.of(env_id="make_env")
+    for name, value in (("mine", 1.0), ("other", 2.0)):
+        write_run(tmp_path / name, config, [value])
+    fast = Config.of(env_id="PointMaze")
+    write_run(tmp_path / "fast", fast, [1.0])
+    write_run(tmp_path / "plain", fast.override(direct_matmul=False), [2.0])
+    assert len(read_runs(find_runs([tmp_path]))) == 4
+
+
 def test_the_page_needs_nothing_but_itself(runs, tmp_path):
     path = tmp_path / "out" / "curves.html"
     write_page(path, runs, ["eval/return"])
