@@ -13,7 +13,7 @@ from typing import Any
 
 from tqdm import tqdm
 
-from deep_curiosity.training.callbacks import CALLBACK, Callback, call
+from deep_curiosity.training.callbacks import CALLBACK, Callback, call, check_callbacks
 from deep_curiosity.training.collector import Episode
 from deep_curiosity.training.config import Config
 from deep_curiosity.training.environments import MakeEnv
@@ -71,8 +71,11 @@ def train(
         FileNotFoundError: If there is no run to continue.
         LeaseError: If another process writes into the folder, or takes it over.
         RuntimeError: If a resumed run's episode in progress does not repeat itself.
+        TypeError: If a callback is no function, or returns what is neither a boolean nor `None`.
         ValueError: If the environment or a setting is not one the agent can take.
     """
+    check_callbacks(on_evaluation=on_evaluation, on_log=on_log)
+
     # 1. Initialise policy, values, model and replay, or restore them
     with (
         open_run(
@@ -156,7 +159,8 @@ def _record_step(
         bar.set_postfix_str(_postfix(row | run.latest_evaluation()), refresh=False)
     run.unrecorded = False
     with run.saved_on_error():
-        stops = call(on_evaluation, step, evaluation) | call(on_log, step, row)
+        stops = call(on_evaluation, step, evaluation, name="on_evaluation")
+        stops |= call(on_log, step, row, name="on_log")
     if run.reached(course.checkpoint_interval):
         run.save()
     return stops

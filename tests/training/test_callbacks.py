@@ -4,9 +4,10 @@ import math
 
 import numpy as np
 import pytest
+import torch
 
 from deep_curiosity.training import continue_run, train
-from deep_curiosity.training.callbacks import in_turn, stop_when_solved
+from deep_curiosity.training.callbacks import call, in_turn, stop_when_solved
 from deep_curiosity.training.log import read_progress
 
 
@@ -40,12 +41,25 @@ def test_a_callback_stops_a_run_that_can_be_continued(tiny, told, stopped_at):
 
 
 def test_what_a_callback_happens_to_return_is_no_wish_to_stop(tiny):
-    with pytest.raises(TypeError, match=r"`callback` must return True to stop, .* got \{'a': 1\}"):
+    with pytest.raises(TypeError, match=r"`on_log` must return True to stop, .* got \{'a': 1\}"):
         train(tiny, on_log=lambda step, values: {"a": 1}, show_progress=False)
     stopped = train(
         tiny.override(out=tiny.run.out / "b"), on_log=lambda *_: np.True_, show_progress=False
     )
     assert stopped["total_steps"] < tiny.run.total_steps
+
+
+@pytest.mark.parametrize("answer", [np.zeros(2), torch.zeros(2)], ids=["array", "tensor"])
+def test_numbers_that_are_neither_true_nor_false_are_no_answer(answer):
+    with pytest.raises(TypeError, match="`on_log` must return True to stop, or False or None"):
+        call(lambda step, values: answer, 0, {}, name="on_log")
+
+
+@pytest.mark.parametrize("name", ["on_evaluation", "on_log"])
+def test_what_cannot_be_called_is_refused_before_the_run_begins(tiny, name):
+    with pytest.raises(TypeError, match=f"`{name}` must be a function of step and values, or No"):
+        train(tiny, show_progress=False, **{name: 3})
+    assert not tiny.run.out.exists()
 
 
 def test_a_callback_that_asks_for_nothing_changes_nothing(tiny, tmp_path):
