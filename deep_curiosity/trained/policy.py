@@ -97,7 +97,8 @@ class TrainedPolicy:
             raise ValueError("`curious` must be False for a run with one policy, got True.")
         vector = self.spaces.to_vector(observation)
         batch = as_batch("observation", vector, self.spaces.observation_dim)
-        window = self._window(batch, state, episode_start)
+        begins = _flags("episode_start", episode_start, len(batch))
+        window = self._window(batch, state, begins)
         entered = self._policy_input(self._cut(window), hunger)
         mixture = self.network(torch.from_numpy(entered), -1 if curious else 0)
         if deterministic:
@@ -110,7 +111,7 @@ class TrainedPolicy:
         return (chosen[0] if vector.ndim == 1 else chosen), state
 
     def _window(
-        self, batch: NDArray[np.float32], state: State | None, episode_start: Numbers | None
+        self, batch: NDArray[np.float32], state: State | None, begins: NDArray[np.bool_]
     ) -> NDArray[np.float32]:
         """What the policy is shown: the observations, or windows of them."""
         if self.num_frames == 1:
@@ -118,14 +119,10 @@ class TrainedPolicy:
         first = first_window(batch, len(self.spaces.action_low), self.num_frames)
         if state is None:
             return first
+        _check_state(state, first.shape, (len(batch), len(self.spaces.action_low)))
         window, action = state
-        if len(window) != len(batch):
-            raise ValueError(
-                f"`state` must be that of as many observations, {len(batch)}, got {len(window)}."
-            )
         later = next_window(window, action, batch)
-        begins = np.zeros(len(batch), dtype=bool) if episode_start is None else episode_start
-        return np.where(np.reshape(begins, (-1, 1)), first, later)
+        return np.where(begins[:, None], first, later)
 
     def _cut(self, window: NDArray[np.float32]) -> NDArray[np.float32]:
         """The windows with nothing absurd in them, as the run was shown them."""
@@ -266,6 +263,31 @@ def as_batch(name: str, vector: NDArray[np.float32], dim: int) -> NDArray[np.flo
     if not np.isfinite(vector).all():
         raise ValueError(f"`{name}` must be finite, got {vector.tolist()}.")
     return np.atleast_2d(vector)
+
+
+def _check_state(state: Any, *shapes: tuple[int, ...]) -> None:
+    """Reject what is no state: finite windows and actions of such shapes."""
+    is_sequence = isinstance(state, Sequence)
+    got: Any = [np.shape(array) for array in state] if is_sequence else repr(state)
+    if got != [*shapes]:
+        raise ValueError(
+            "`state` must be what the call before returned for as many observations, arrays of "
+            f"shapes {shapes[0]} and {shapes[1]}, got {got}."
+        )
+    if not all(np.isfinite(array).all() for array in state):
+        raise ValueError(f"`state` must be finite, got {state}.")
+
+
+def _flags(name: str, value: Numbers | None, batch: int) -> NDArray[np.bool_]:
+    """Flags of a batch, all False without any.
+
+    Raises:
+        ValueError: If there are not one or as many as the batch is long, or they are no flags.
+    """
+    flags = np.asarray(False if value is None else value)
+    if flags.shape not in ((), (batch,)) or not np.isin(flags, (0, 1)).all():
+        raise ValueError(f"`{name}` must be False or True, or {batch} of them, got {value!r}.")
+    return np.broadcast_to(flags.astype(bool), batch)
 
 
 def _hunger(hunger: Numbers, batch: int) -> NDArray[np.float64]:

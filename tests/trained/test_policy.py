@@ -130,8 +130,30 @@ def test_a_window_begins_anew_where_an_episode_does(run_of):
     np.testing.assert_array_equal(later[0], begun[0])
     np.testing.assert_array_equal(later[1], gone_on[1])
     assert not np.allclose(begun, gone_on)
-    with pytest.raises(ValueError, match="`state` must be that of as many observations, 1, got 2"):
-        policy.predict(second[:1], state)
+    together, _ = policy.predict(second, state, episode_start=True)
+    np.testing.assert_array_equal(together, begun)
+
+
+@pytest.mark.parametrize("start", [[True], [True] * 3, [[True, False]], [0.5, 1], "ab", [1, None]])
+@pytest.mark.parametrize("frame_stack", [1, 3])
+def test_where_episodes_begin_is_said_by_one_flag_or_one_for_each(run_of, frame_stack, start):
+    policy = dc.load(run_of(frame_stack=frame_stack))
+    _, state = policy.predict(OBSERVATIONS[:2])
+    with pytest.raises(ValueError, match="`episode_start` must be False or True, or 2 of them, g"):
+        policy.predict(OBSERVATIONS[:2], state, episode_start=start)
+
+
+def test_a_state_is_that_of_the_call_before(run_of):
+    policy = dc.load(run_of(frame_stack=3))
+    _, (window, action) = policy.predict(OBSERVATIONS[:2])
+    message = r"`state` must be what .* shapes \(2, 13\) and \(2, 2\), got "
+    for state in ((window,), (window, action[:1]), (window[:, 1:], action), "ab", 3, window):
+        with pytest.raises(ValueError, match=message):
+            policy.predict(OBSERVATIONS[:2], state)
+    with pytest.raises(ValueError, match=r"`state` must be what .* observations, .*\(1, 13"):
+        policy.predict(OBSERVATIONS[:1], (window, action))
+    with pytest.raises(ValueError, match="`state` must be finite, got "):
+        policy.predict(OBSERVATIONS[:2], (window, np.full_like(action, np.nan)))
 
 
 def test_stable_baselines3_evaluates_it(run_of):
