@@ -241,13 +241,30 @@ def task_spaces(
             f"`action_bounds` must be given for a run without a {SPACES}, such as (-1, 1) for the "
             f"tasks of this package, got None for {trained.folder}."
         )
-    low, high = (np.broadcast_to(bound, policy.action_dim) for bound in action_bounds)
-    if not (low < high).all():
-        raise ValueError(f"`action_bounds` must be low and high, got {action_bounds}.")
+    low, high = _bounds(action_bounds, policy.action_dim)
     frames = trained.config.environment.frame_stack
     window = sizes(trained)[0]
     observation_dim = (window - (frames - 1) * policy.action_dim) // frames
     return TaskSpaces(observation_dim, tuple(low.tolist()), tuple(high.tolist()), "float32")
+
+
+def _bounds(action_bounds: ActionBounds, action_dim: int) -> NDArray[np.float64]:
+    """The least and the largest action, `(2, action_dim)`.
+
+    Raises:
+        ValueError: If they are none.
+    """
+    try:
+        low, high = (np.asarray(bound, dtype=np.float64) for bound in action_bounds)
+        bounds = np.stack([np.broadcast_to(bound, action_dim) for bound in (low, high)])
+        if not (np.isfinite(bounds).all() and (bounds[0] < bounds[1]).all()):
+            raise ValueError
+    except (OverflowError, TypeError, ValueError):
+        raise ValueError(
+            "`action_bounds` must be low and high, finite numbers, one each or "
+            f"{action_dim}, got {action_bounds!r}."
+        ) from None
+    return bounds
 
 
 def as_batch(name: str, vector: NDArray[np.float32], dim: int) -> NDArray[np.float32]:

@@ -224,8 +224,13 @@ def test_a_run_without_spaces_is_given_the_bounds_of_its_actions(run_of, tmp_pat
     (folder / "spaces.json").unlink()
     with pytest.raises(ValueError, match="`action_bounds` must be given for a run without"):
         dc.load(folder)
-    with pytest.raises(ValueError, match="`action_bounds` must be low and high, got"):
-        dc.load(folder, action_bounds=(1.0, -1.0))
+    inf = float("inf")
+    for bounds in (
+        (1.0, -1.0), (-inf, inf), (float("nan"), 1), (1, 2, 3), ([-1] * 3, [1] * 3), ("a", "b"), 3,
+        (-1, None), (-1, [[1, 1]]), (-1, 10**400),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match="`action_bounds` must be low and high, finite numbe"):
+            dc.load(folder, action_bounds=bounds)
     policy = dc.load(folder, action_bounds=(LOW, HIGH))
     expected = dc.load(run_of(frame_stack=frame_stack)).predict(OBSERVATIONS)[0]
     np.testing.assert_array_equal(policy.predict(OBSERVATIONS)[0], expected)
