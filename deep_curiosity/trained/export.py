@@ -21,6 +21,7 @@ from deep_curiosity.trained.source import (
     USUAL_OBSERVATION,
     Trained,
     Weights,
+    as_path,
     read_trained,
 )
 from deep_curiosity.training.log import CONFIG, WEIGHTS, write_json
@@ -129,9 +130,10 @@ def export(
         FileExistsError: If there is something of this name.
         ImportError: If what the format needs is missing.
         OSError: If it cannot be written; nothing is left of it.
+        TypeError: If `folder` or `out` is no path.
         ValueError: If the format is unknown, or the run has no curious policy of its own.
     """
-    out = Path(out).expanduser()
+    out = as_path("out", out)
     chosen = format or _format_of(out)
     if chosen not in get_args(Format):
         raise ValueError(f"`format` must be one of {', '.join(get_args(Format))}, got {chosen!r}.")
@@ -144,7 +146,6 @@ def export(
             "`curious` must be False for a run with one policy, and for a folder of safetensors, "
             f"which holds both, got True for {folder}."
         )
-    out.parent.mkdir(parents=True, exist_ok=True)
     with _written_whole(out) as partial:
         if chosen == "safetensors":
             _write_folder(trained, policy, partial)
@@ -160,6 +161,7 @@ def _written_whole(out: Path) -> Iterator[Path]:
     """A path beside the one that is wanted, whose place it takes once all is written."""
     partial = out.with_name(f"{out.name}.{secrets.token_hex(4)}.partial")
     try:
+        out.parent.mkdir(parents=True, exist_ok=True)
         yield partial
         partial.replace(out)
     except OSError as error:
@@ -167,7 +169,8 @@ def _written_whole(out: Path) -> Iterator[Path]:
     finally:
         if partial.is_dir():
             shutil.rmtree(partial)
-        partial.unlink(missing_ok=True)
+        elif partial.exists():
+            partial.unlink()
 
 
 def _format_of(out: Path) -> Format:

@@ -10,6 +10,7 @@ from deep_curiosity.bonuses.frozen import FrozenBonus
 from deep_curiosity.schedules import Schedule
 from deep_curiosity.trained.model import TrainedModel, load_bonus, load_model
 from deep_curiosity.trained.policy import TrainedPolicy, load
+from deep_curiosity.trained.source import as_path
 from deep_curiosity.training.callbacks import Callback
 from deep_curiosity.training.config import Config
 from deep_curiosity.training.hunger import HungerFunction
@@ -158,4 +159,4 @@ def continue_run(
         show_progress=show_progress,
         **settings,
     )
-    return TrainedRun(Path(folder).expanduser().absolute(), summary)
+    return TrainedRun(as_path("folder", folder).absolute(), summary)

@@ -180,6 +180,31 @@ def test_a_home_folder_is_understood(run_of, tmp_path, monkeypatch):
     assert Config.of(out=Path("~/run")).run.out == tmp_path / "run"
 
 
+def test_a_home_folder_of_nobody_is_a_folder_of_that_name(run_of, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    unknown = "~nobody-of-this-name/policy"
+    with pytest.raises(FileNotFoundError, match=r"`folder` must be .*got ~nobody-of-this-name/po"):
+        dc.load(unknown)
+    assert dc.export(run_of(), unknown) == Path(unknown)
+    assert dc.load(unknown).predict(OBSERVATIONS)[0].shape == (5, 2)
+
+
+@pytest.mark.parametrize("name", ["policy.pt2", "policy", "sub/policy.pt2"])
+def test_a_file_in_the_place_of_a_folder_is_named(run_of, tmp_path, name):
+    file = tmp_path / "file.sh"
+    file.write_text("a script")
+    with pytest.raises(OSError, match=r"`out` must be where all can be written, got .*policy"):
+        dc.export(run_of(), file / name)
+    assert file.read_text() == "a script"
+
+
+def test_what_is_no_path_is_named(run_of):
+    with pytest.raises(TypeError, match=r"`folder` must be a path, got None\."):
+        dc.load(None)
+    with pytest.raises(TypeError, match=r"`out` must be a path, got 3\."):
+        dc.export(run_of(), 3)
+
+
 def test_what_cannot_be_written_is_refused(run_of, tmp_path):
     (tmp_path / "there").mkdir()
     with pytest.raises(FileExistsError, match="`out` must not be there yet, got "):
