@@ -526,7 +526,7 @@ def _as_vector(name: str, value: Vector, dim: int) -> np.ndarray:
         TypeError: If it is not of real numbers.
         ValueError: If it has another length, NaN or infinity, or a flag is neither False nor True.
     """
-    vector = _as_float32(name, value).reshape(-1)
+    vector = as_float32(name, value).reshape(-1)
     if vector.shape != (dim,):
         raise ValueError(f"`{name}` must have {dim} entries, got {vector.shape[0]}.")
     if not np.isfinite(vector).all():
@@ -538,7 +538,7 @@ def _as_vector(name: str, value: Vector, dim: int) -> np.ndarray:
 
 def _as_rows(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray:
     """The same of several transitions, `(num_rows, dim)`, from an array of a given shape."""
-    array = _as_float32(name, value)
+    array = as_float32(name, value)
     if array.shape != shape:
         raise ValueError(f"`{name}` must have shape {shape}, got {array.shape}.")
     rows = array.reshape(len(array), -1)
@@ -552,21 +552,23 @@ def _as_rows(name: str, value: np.ndarray, shape: tuple[int, ...]) -> np.ndarray
     return rows
 
 
-def _as_float32(name: str, value: Any) -> np.ndarray:
+def as_float32(name: str, value: Any) -> np.ndarray:
     """Real numbers as float32; those in an array of objects as well.
 
     Raises:
-        TypeError: If they are text, complex numbers or no numbers at all.
-        ValueError: If there is not the same number of them in every row.
+        TypeError: If they are text, complex numbers, hidden by a mask, or no numbers at all.
+        ValueError: If there is not the same number of them in every row, or one is too large.
     """
     try:
         array = np.asarray(value)
-        if array.dtype.kind not in "biufO":
+        if array.dtype.kind not in "biufO" or np.ma.is_masked(value):
             raise TypeError
-        with np.errstate(over="ignore"):
+        with np.errstate(over="raise"):
             return array.astype(np.float32)
     except TypeError:
         raise TypeError(f"`{name}` must be of real numbers, got {value!r}.") from None
+    except ArithmeticError:
+        raise ValueError(f"`{name}` must be finite in float32, got {value!r}.") from None
     except ValueError:
         raise ValueError(f"`{name}` must be an array of real numbers, got {value!r}.") from None
 

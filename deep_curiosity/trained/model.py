@@ -12,7 +12,7 @@ from torch import Tensor
 from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.bonuses.dynamics import DynamicsEnsemble
 from deep_curiosity.bonuses.frozen import FrozenBonus
-from deep_curiosity.replay import check_seed
+from deep_curiosity.replay import as_float32, check_seed
 from deep_curiosity.trained.policy import (
     ActionBounds,
     as_batch,
@@ -73,7 +73,8 @@ class TrainedModel:
             seed: Of the samples.
 
         Raises:
-            TypeError: If the number of samples or the seed is no whole number.
+            TypeError: If observation or action is not of real numbers, or the number of samples or
+                the seed is no whole number.
             ValueError: If a shape is wrong, a value NaN or infinite, no sample is wanted, or the
                 seed is none that torch takes.
         """
@@ -81,7 +82,7 @@ class TrainedModel:
         check_seed(seed)
         vector = self._vector(observation)
         batch = as_batch("observation", vector, self.dynamics.observation_dim)
-        given = np.asarray(action, dtype=np.float32)
+        given = as_float32("action", action)
         actions = self.spaces.from_task(as_batch("action", given, self.dynamics.action_dim))
         if len(batch) != len(actions):
             raise ValueError(

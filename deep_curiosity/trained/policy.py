@@ -12,6 +12,7 @@ from torch import Tensor
 from deep_curiosity.agent.config import ConditionedHunger
 from deep_curiosity.agent.networks import GaussianPolicy
 from deep_curiosity.nn.statistics import InputScaling
+from deep_curiosity.replay import as_float32
 from deep_curiosity.trained.source import Trained, Weights, read_trained
 from deep_curiosity.training.checkpoint import load_weights
 from deep_curiosity.training.hunger import battery_hunger
@@ -90,6 +91,7 @@ class TrainedPolicy:
             what is to be given as `state` to the next call, `None` without a stack.
 
         Raises:
+            TypeError: If an argument is not of real numbers.
             ValueError: If the observation has another shape, or an entry that is NaN or infinite,
                 or an argument is out of place in this run.
         """
@@ -299,16 +301,17 @@ def _flags(name: str, value: Numbers | None, batch: int) -> NDArray[np.bool_]:
     """Flags of a batch, all False without any.
 
     Raises:
+        TypeError: If they are no numbers.
         ValueError: If there are not one or as many as the batch is long, or they are no flags.
     """
-    flags = np.asarray(False if value is None else value)
+    flags = as_float32(name, False if value is None else value)
     if flags.shape not in ((), (batch,)) or not np.isin(flags, (0, 1)).all():
         raise ValueError(f"`{name}` must be False or True, or {batch} of them, got {value!r}.")
     return np.broadcast_to(flags.astype(bool), batch)
 
 
-def _hunger(hunger: Numbers, batch: int) -> NDArray[np.float64]:
-    values = np.asarray(hunger, dtype=np.float64)
+def _hunger(hunger: Numbers, batch: int) -> NDArray[np.float32]:
+    values = as_float32("hunger", hunger)
     if values.shape not in ((), (batch,)) or not ((values >= 0) & (values <= 1)).all():
         raise ValueError(
             f"`hunger` must be one number in [0, 1], or {batch} of them, got {values}."

@@ -11,6 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from deep_curiosity.replay import as_float32
+
 SPACES = "spaces.json"
 ACHIEVED_GOAL, DESIRED_GOAL = "achieved_goal", "desired_goal"
 """Keys of the goals in a dictionary of observations."""
@@ -92,17 +94,25 @@ class TaskSpaces:
         """An observation, or a batch of them, as vectors: dictionaries entry behind entry.
 
         Raises:
-            ValueError: If it is a dictionary and the task's are none, or it lacks an entry.
+            TypeError: If it is not of real numbers.
+            ValueError: If it is a dictionary and the task's are none, or it lacks an entry, or has
+                not as many rows in every one.
         """
         is_tuple = isinstance(observation, tuple) and bool(self.entries)
         if not (isinstance(observation, Mapping) or is_tuple):
-            return np.asarray(observation, dtype=np.float32)
+            return as_float32("observation", observation)
         if not self.entries:
             raise ValueError(
                 "`observation` must be an array for a task whose observations are no dictionaries "
-                f"of arrays, got a dictionary of {sorted(observation)}."
+                f"of arrays, got a dictionary of {sorted(observation, key=str)}."
             )
-        return np.concatenate([_vector(observation, entry) for entry in self.entries], axis=-1)
+        vectors = [_vector(observation, entry) for entry in self.entries]
+        batches = [vector.shape[:-1] for vector in vectors]
+        if len({*batches}) > 1:
+            raise ValueError(
+                f"`observation` must have the same batch in all its entries, got {batches}."
+            )
+        return np.concatenate(vectors, axis=-1)
 
 
 def read_spaces(folder: Path) -> TaskSpaces | None:
@@ -145,18 +155,19 @@ def _vector(observation: Any, entry: Entry) -> NDArray[np.float32]:
         try:
             value = value[key]
         except (IndexError, KeyError, TypeError) as error:
-            there = sorted(observation) if isinstance(observation, Mapping) else observation
+            has_keys = isinstance(observation, Mapping)
+            there = sorted(observation, key=str) if has_keys else observation
             raise ValueError(
                 f"`observation` must have the entry {name!r}, got {there}."
             ) from error
-    array = np.asarray(value, dtype=np.float32)
+    array = as_float32(f"observation[{name!r}]", value)
     batch = array.shape[: array.ndim - len(entry.shape)]
     if array.shape != (*batch, *entry.shape):
         raise ValueError(
             f"`observation` must have the shape {entry.shape} in its entry {name!r}, "
             f"got {array.shape}."
         )
-    flat = array.reshape(*batch, -1)
+    flat = array.reshape(*batch, math.prod(entry.shape))
     if not entry.choices:
         return flat
     chosen = [

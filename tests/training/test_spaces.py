@@ -154,3 +154,30 @@ def test_an_observation_of_other_choices_is_refused(observation, message):
     )
     with pytest.raises(ValueError, match=message):
         task_spaces(environment).to_vector(observation)
+
+
+@pytest.mark.parametrize(
+    ("observation", "error", "message"),
+    [
+        ({"goal": np.ones((2, 2)), "angle": np.ones(3)}, ValueError, r"got \[\(2,\), \(3,\)\]"),
+        ({"goal": np.ones((2, 2)), "angle": 0.5}, ValueError, r"got \[\(2,\), \(\)\]"),
+        ({"goal": [1, 2], 3: 0.5}, ValueError, r"the entry 'angle', got \[3, 'goal'\]"),
+        (
+            {"goal": [1, 2], "angle": "north"},
+            TypeError,
+            r"`observation\['angle'\]` must be of real",
+        ),
+        ({"goal": [1, 1e300], "angle": 0}, ValueError, r"in float32, got \[1, 1e\+300\]"),
+        (
+            [{"goal": [1, 2], "angle": 0.5}],
+            TypeError,
+            "`observation` must be of real numbers, got",
+        ),
+    ],
+)
+def test_what_is_no_dictionary_of_such_entries_is_refused_by_name(observation, error, message):
+    entries = (Entry(("goal",), (2,)), Entry(("angle",), ()))
+    found = TaskSpaces(3, (-1.0,), (1.0,), "float32", entries)
+    with pytest.raises(error, match=message):
+        found.to_vector(observation)
+    assert found.to_vector({"goal": np.ones((0, 2)), "angle": np.ones(0)}).shape == (0, 3)
