@@ -22,6 +22,8 @@ LEARNED = (
 """What of an agent is learned; the rest are settings, optimisers, and what settings start."""
 BY_SETTINGS = ("value", "tuned_weight.log_factor")
 """What of a bonus starts as `bonus_weight` says: a constant, and how far a weight was tuned."""
+OF_MEANING = ("whitening", "features", "features_of", "bonus_parts")
+"""Settings of a bonus that say what its weights and statistics mean, whatever their shapes."""
 
 
 def begin_from(config: Config, learner: Learner, collector: Collector) -> None:
@@ -37,18 +39,14 @@ def begin_from(config: Config, learner: Learner, collector: Collector) -> None:
 
     Raises:
         FileNotFoundError: If the folder holds no run, or no checkpoint that can be read.
-        ValueError: If that run has another bonus, or parts of other sizes.
+        ValueError: If that run has another bonus, one that is of something else, or parts of other
+            sizes.
     """
     folder = config.run.init_from
     if folder is None:
         return
     there = read_values(folder, "init_from")
-    kind = there.get("bonus")
-    if kind != config.bonus.kind:
-        raise ValueError(
-            f"`bonus` must be {kind!r}, that of the run in {folder}, to begin from it, got "
-            f"{config.bonus.kind!r}."
-        )
+    _check_bonus(config, there)
     checkpoint = load_checkpoint(folder, argument="init_from")
     state = checkpoint["learner"]
     _check_sizes(_learned(learner.agent.state_dict()), _learned(state["agent"]), config, there)
@@ -68,6 +66,18 @@ def begin_from(config: Config, learner: Learner, collector: Collector) -> None:
 
 def _learned(agent: dict[str, Tensor]) -> dict[str, Tensor]:
     return {name: value for name, value in agent.items() if name.startswith(LEARNED)}
+
+
+def _check_bonus(config: Config, there: dict[str, Any]) -> None:
+    """Refuse a bonus that the other run has not, or whose numbers mean something else there."""
+    here = config.to_json()
+    for name in ("bonus", *OF_MEANING):
+        other = there.get(name, here.get(name))  # a run that is older says nothing
+        if name in here and here[name] != other:
+            raise ValueError(
+                f"`{name}` must be {other!r}, that of the run in {config.run.init_from}, to begin "
+                f"from it, got {here[name]!r}."
+            )
 
 
 def _check_sizes(

@@ -1,3 +1,4 @@
+import json
 import shutil
 
 import pytest
@@ -152,6 +153,9 @@ def test_a_run_goes_on_without_the_one_it_began_with(tiny, begun, tmp_path):
             r"where critics\.network\.layers\.0\.weight has shape \(3, 4, 16\), here \(3, 6, 16\)",
         ),
         ({"num_envs": 2, "init_replay": True}, "`num_envs` must be 1, that of the run in .* 2"),
+        ({"whitening": "moments"}, "`whitening` must be 'saturating', that of .* got 'moments'"),
+        ({"features": (0, 1, 2)}, r"`features` must be \[\], that of .* got \[0, 1, 2\]"),
+        ({"bonus_parts": {"cross_entropy": 1.0}}, r"`bonus_parts` must be \{\}, .*got \{'cross_"),
         ({"num_members": 3}, r"Settings that differ: num_members \(2 there, 3 here\)"),
     ],
 )
@@ -164,6 +168,17 @@ def test_a_run_that_does_not_fit_is_refused_before_anything_is_written(
     ):
         pass
     assert not tiny.run.out.exists()
+
+
+def test_features_are_of_the_same_observation(tiny, begun, tmp_path):
+    first = shutil.copytree(begun, tmp_path / "first")
+    values = json.loads((first / "config.json").read_text())
+    (first / "config.json").write_text(json.dumps(values | {"features_of": "window"}))
+    with (
+        pytest.raises(ValueError, match=r"`features_of` must be .window., that of .* got .newest"),
+        open_run(tiny.override(init_from=first)),
+    ):
+        pass
 
 
 def test_a_run_must_be_there(tiny, tmp_path):
