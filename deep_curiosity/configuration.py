@@ -230,6 +230,18 @@ def from_home(path: Path) -> Path:
         return path
 
 
+def as_path(name: str, value: str | Path) -> Path:
+    """An argument as the path that is meant, which may begin at a home folder.
+
+    Raises:
+        TypeError: If it is no path.
+    """
+    try:
+        return from_home(Path(value))
+    except TypeError:
+        raise TypeError(f"`{name}` must be a path, got {value!r}.") from None
+
+
 def _at_home(value: Any) -> Any:
     """A value whose paths are those that are meant."""
     if isinstance(value, tuple):

@@ -13,6 +13,7 @@ from typing import Any, Literal, get_args
 import torch
 from torch import Tensor, nn
 
+from deep_curiosity.configuration import as_path
 from deep_curiosity.requirements import require
 from deep_curiosity.trained.policy import ActionBounds, TrainedPolicy
 from deep_curiosity.trained.source import (
@@ -21,7 +22,6 @@ from deep_curiosity.trained.source import (
     USUAL_OBSERVATION,
     Trained,
     Weights,
-    as_path,
     read_trained,
 )
 from deep_curiosity.training.log import CONFIG, WEIGHTS, write_json

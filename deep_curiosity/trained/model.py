@@ -139,6 +139,7 @@ def load_model(folder: str | Path, *, action_bounds: ActionBounds | None = None)
 
     Raises:
         FileNotFoundError: If the folder holds neither.
+        TypeError: If `folder` is no path.
         ValueError: If the bonus of the run learns no such model, or the bounds are missing.
     """
     trained = read_trained(folder)
@@ -164,6 +165,7 @@ def load_bonus(folder: str | Path) -> FrozenBonus:
 
     Raises:
         FileNotFoundError: If the folder holds neither.
+        TypeError: If `folder` is no path.
         ValueError: If the run has no bonus.
     """
     trained = read_trained(folder)

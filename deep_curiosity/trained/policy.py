@@ -176,6 +176,7 @@ def load(folder: str | Path, *, action_bounds: ActionBounds | None = None) -> Tr
 
     Raises:
         FileNotFoundError: If the folder holds neither.
+        TypeError: If `folder` is no path.
         ValueError: If the bounds are missing, or given twice, or are none.
     """
     return TrainedPolicy(read_trained(folder), action_bounds)

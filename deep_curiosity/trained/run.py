@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from deep_curiosity.bonuses.frozen import FrozenBonus
+from deep_curiosity.configuration import as_path
 from deep_curiosity.schedules import Schedule
 from deep_curiosity.trained.model import TrainedModel, load_bonus, load_model
 from deep_curiosity.trained.policy import TrainedPolicy, load
-from deep_curiosity.trained.source import as_path
 from deep_curiosity.training.callbacks import Callback
 from deep_curiosity.training.config import Config
 from deep_curiosity.training.hunger import HungerFunction

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 from torch import Tensor
 
 from deep_curiosity.bonuses.config import BONUS_CONFIGS
-from deep_curiosity.configuration import from_home
+from deep_curiosity.configuration import as_path
 from deep_curiosity.requirements import require
 from deep_curiosity.training.checkpoint import load_checkpoint
 from deep_curiosity.training.config import Config
@@ -59,18 +59,6 @@ def read_trained(folder: str | Path) -> Trained:
     config = Config.from_json(_with_younger(values), source=str(folder / CONFIG))
     learned = _read_export(folder) if (folder / WEIGHTS).exists() else _read_run(folder)
     return Trained(folder, config, read_spaces(folder), *learned)
-
-
-def as_path(name: str, value: str | Path) -> Path:
-    """An argument as the path that is meant, which may begin at a home folder.
-
-    Raises:
-        TypeError: If it is no path.
-    """
-    try:
-        return from_home(Path(value))
-    except TypeError:
-        raise TypeError(f"`{name}` must be a path, got {value!r}.") from None
 
 
 def _with_younger(values: dict[str, Any]) -> dict[str, Any]:

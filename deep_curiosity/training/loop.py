@@ -13,6 +13,7 @@ from typing import Any
 
 from tqdm import tqdm
 
+from deep_curiosity.configuration import as_path
 from deep_curiosity.training.callbacks import CALLBACK, Callback, call, check_callbacks
 from deep_curiosity.training.collector import Episode
 from deep_curiosity.training.config import Config
@@ -213,12 +214,12 @@ def continue_run(
 
     Raises:
         FileNotFoundError: If the folder holds no run.
-        TypeError: If there is no such setting, or a value has the wrong type.
+        TypeError: If `folder` is no path, there is no such setting, or a value has the wrong type.
         ValueError: If the run cannot go on with a setting, naming it and both values.
     """
     if total_steps is not None:
         settings["total_steps"] = total_steps
-    config = read_config(Path(folder).expanduser()).override(**settings)
+    config = read_config(as_path("folder", folder)).override(**settings)
     return train(
         config,
         resume=True,

@@ -283,3 +283,15 @@ def test_settings_that_were_changed_by_hand_are_told_from_weights_of_another_siz
     for use in (partial(continue_run, total_steps=70), load_bonus):
         with pytest.raises(ValueError, match=r"^`config\.json` in .* size mismatch for "):
             use(config.run.out)
+
+
+@pytest.mark.parametrize(
+    ("folder", "error", "message"),
+    [
+        (None, TypeError, "`folder` must be a path, got None"),
+        ("~nobody-of-this-name/x", FileNotFoundError, "~nobody-of-this-name/x"),
+    ],
+)
+def test_a_folder_of_nobody_is_refused_by_name_where_a_run_is_to_go_on(folder, error, message):
+    with pytest.raises(error, match=message):
+        continue_run(folder)
