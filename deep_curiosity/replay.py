@@ -1,7 +1,6 @@
 """Replay: one preallocated tensor, its rows views of raw transitions."""
 
 import math
-import numbers
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +10,13 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from deep_curiosity.requirements import require
-from deep_curiosity.transitions import Sequences, Transition, check_counts, check_single_steps
+from deep_curiosity.transitions import (
+    Sequences,
+    Transition,
+    check_counts,
+    check_single_steps,
+    is_whole_number,
+)
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
@@ -601,7 +606,7 @@ def check_seed(seed: Any) -> None:
         TypeError: If it is no whole number.
         ValueError: If it is none that torch takes.
     """
-    if isinstance(seed, bool) or not isinstance(seed, numbers.Integral):
+    if not is_whole_number(seed):
         raise TypeError(f"`seed` must be a whole number, got {seed!r}.")
     if not SEEDS[0] <= int(seed) < SEEDS[1]:
         raise ValueError(f"`seed` must lie in [-2**63, 2**64), got {seed}.")

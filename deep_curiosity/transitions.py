@@ -186,6 +186,11 @@ def is_number(value: Any) -> bool:
     return is_real and math.isfinite(value)
 
 
+def is_whole_number(value: Any) -> bool:
+    """Whether a value is a whole number; `True` and `False` are none."""
+    return isinstance(value, numbers.Integral) and not isinstance(value, bool)
+
+
 def check_counts(**counts: Any) -> None:
     """Reject counts and sizes that are no whole numbers, or below 1.
 
@@ -194,7 +199,7 @@ def check_counts(**counts: Any) -> None:
         ValueError: Naming the first one that is below 1, and its value.
     """
     for name, count in counts.items():
-        if isinstance(count, bool) or not isinstance(count, numbers.Integral):
+        if not is_whole_number(count):
             raise TypeError(f"`{name}` must be a whole number, got {count!r}.")
         if int(count) < 1:
             raise ValueError(f"`{name}` must be at least 1, got {count}.")

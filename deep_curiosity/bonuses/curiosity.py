@@ -1,7 +1,6 @@
 """Curiosity as predictive power: how far an action leads from where one usually ends up."""
 
 import math
-import numbers
 from collections.abc import Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
@@ -29,6 +28,7 @@ from deep_curiosity.transitions import (
     check_transition,
     every_second,
     is_number,
+    is_whole_number,
 )
 
 LEAST_COMPONENTS = 16  # of the marginal, below which what was measured before tells nothing
@@ -460,7 +460,7 @@ def check_entries(entries: Sequence[int], dim: int, name: str = "features") -> l
         ValueError: If there is none, or one is no entry of `dim` or named twice.
     """
     for index in entries:
-        if isinstance(index, bool) or not isinstance(index, numbers.Integral):
+        if not is_whole_number(index):
             raise TypeError(f"`{name}` must be whole numbers, got {index!r}.")
     valid = all(-dim <= index < dim for index in entries)
     chosen = [index % dim for index in entries]

@@ -3,7 +3,6 @@
 import io
 import logging
 import secrets
-import shutil
 import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -24,7 +23,7 @@ from deep_curiosity.trained.source import (
     Weights,
     read_trained,
 )
-from deep_curiosity.training.log import CONFIG, WEIGHTS, write_json
+from deep_curiosity.training.log import CONFIG, WEIGHTS, write_json, written_whole
 from deep_curiosity.training.outliers import FACTOR
 from deep_curiosity.training.spaces import SPACES
 
@@ -146,7 +145,7 @@ def export(
             "`curious` must be False for a run with one policy, and for a folder of safetensors, "
             f"which holds both, got True for {folder}."
         )
-    with _written_whole(out) as partial:
+    with _new_place(out) as partial:
         if chosen == "safetensors":
             _write_folder(trained, policy, partial)
         elif chosen == "onnx":
@@ -157,20 +156,14 @@ def export(
 
 
 @contextmanager
-def _written_whole(out: Path) -> Iterator[Path]:
-    """A path beside the one that is wanted, whose place it takes once all is written."""
-    partial = out.with_name(f"{out.name}.{secrets.token_hex(4)}.partial")
+def _new_place(out: Path) -> Iterator[Path]:
+    """Path of what takes the place of `out` once it is written whole; errors name the argument."""
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        yield partial
-        partial.replace(out)
+        with written_whole(out, mark=f"{secrets.token_hex(4)}.partial") as partial:
+            yield partial
     except OSError as error:
         raise OSError(f"`out` must be where all can be written, got {out}: {error}") from error
-    finally:
-        if partial.is_dir():
-            shutil.rmtree(partial)
-        elif partial.exists():
-            partial.unlink()
 
 
 def _format_of(out: Path) -> Format:

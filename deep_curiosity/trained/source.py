@@ -8,7 +8,7 @@ from torch import Tensor
 from deep_curiosity.bonuses.config import BONUS_CONFIGS
 from deep_curiosity.configuration import as_path
 from deep_curiosity.requirements import require
-from deep_curiosity.training.checkpoint import load_checkpoint
+from deep_curiosity.training.checkpoint import load_checkpoint, usual_observation_of
 from deep_curiosity.training.config import Config
 from deep_curiosity.training.log import CONFIG, WEIGHTS, read_values
 from deep_curiosity.training.spaces import TaskSpaces, read_spaces
@@ -70,8 +70,8 @@ def _with_younger(values: dict[str, Any]) -> dict[str, Any]:
 def _read_run(folder: Path) -> Learned:
     checkpoint = load_checkpoint(folder)
     agent, bonus = checkpoint["learner"]["agent"], checkpoint["learner"]["bonus"]
-    usual = checkpoint["collector"].get(USUAL_OBSERVATION)
-    return _under(POLICY_PREFIX, agent), _under(SCALING_PREFIX, agent), bonus, usual
+    policy, scaling = (_under(prefix, agent) for prefix in (POLICY_PREFIX, SCALING_PREFIX))
+    return policy, scaling, bonus, usual_observation_of(checkpoint)
 
 
 def _read_export(folder: Path) -> Learned:

@@ -148,6 +148,12 @@ def load_weights(part: nn.Module, weights: Mapping[str, Tensor], folder: Path) -
         ) from None
 
 
+def usual_observation_of(state: dict[str, Any]) -> Tensor | None:
+    """Sizes that a run has found usual, `(observation_dim,)`; `None` where it is too old."""
+    usual: Tensor | None = state["collector"].get("usual_observation")
+    return usual
+
+
 def has_checkpoint(folder: Path) -> bool:
     """Whether a folder holds a checkpoint, be it whole or damaged."""
     return any((folder / name).exists() for name in (NEWEST, PREVIOUS))

@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import os
+import shutil
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -154,15 +155,24 @@ def write_text(path: Path, text: str) -> None:
 
 
 @contextmanager
-def written_whole(path: Path) -> Iterator[Path]:
-    """Path beside a file, with its suffix, of what takes its place once it is written whole."""
-    partial = path.with_name(f"{path.stem}.partial{path.suffix}")
+def written_whole(path: Path, *, mark: str = "partial") -> Iterator[Path]:
+    """Path beside a file or folder of what takes its place once it is written whole.
+
+    Args:
+        path: That is wanted.
+        mark: In the name of what is being written, between stem and suffix; one of its own where
+            several may write.
+    """
+    partial = path.with_name(f"{path.stem}.{mark}{path.suffix}")
     try:
         yield partial
+        partial.replace(path)
     except BaseException:
-        partial.unlink(missing_ok=True)
+        if partial.is_dir():
+            shutil.rmtree(partial)
+        else:
+            partial.unlink(missing_ok=True)
         raise
-    partial.replace(path)
 
 
 class Log:

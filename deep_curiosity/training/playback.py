@@ -17,7 +17,7 @@ from deep_curiosity.agent.config import ConditionedHunger
 from deep_curiosity.agent.sac import CuriousSAC
 from deep_curiosity.arguments import check_file
 from deep_curiosity.requirements import require
-from deep_curiosity.training.checkpoint import load_checkpoint, load_weights
+from deep_curiosity.training.checkpoint import load_checkpoint, load_weights, usual_observation_of
 from deep_curiosity.training.collector import Collector, Episode, as_batch
 from deep_curiosity.training.config import Config, EnvironmentConfig
 from deep_curiosity.training.divergence import DivergedError, broken_weight
@@ -57,7 +57,7 @@ def load_usual_observation(folder: Path) -> NDArray[Any] | None:
     Raises:
         FileNotFoundError: If the folder holds no readable checkpoint.
     """
-    usual = load_checkpoint(folder)["collector"].get("usual_observation")
+    usual = usual_observation_of(load_checkpoint(folder))
     return None if usual is None else usual.numpy()
 
 

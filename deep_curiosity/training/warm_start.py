@@ -4,7 +4,7 @@ from typing import Any
 
 from torch import Tensor
 
-from deep_curiosity.training.checkpoint import load_checkpoint
+from deep_curiosity.training.checkpoint import load_checkpoint, usual_observation_of
 from deep_curiosity.training.collector import Collector
 from deep_curiosity.training.config import IGNORED, Config
 from deep_curiosity.training.learner import Learner
@@ -56,7 +56,7 @@ def begin_from(config: Config, learner: Learner, collector: Collector) -> None:
         _check_sizes(own, state["bonus"], config, there)
         as_set = {name: own[name] for name in BY_SETTINGS if name in own}
         learner.bonus.load_state_dict(state["bonus"] | as_set)
-    usual = checkpoint["collector"].get("usual_observation")
+    usual = usual_observation_of(checkpoint)
     if usual is not None:  # a checkpoint that is older has none
         collector.begin_from(usual.numpy())
     if config.run.init_replay:
