@@ -199,7 +199,8 @@ def check_counts(**counts: Any) -> None:
         ValueError: Naming the first one that is below 1, and its value.
     """
     for name, count in counts.items():
-        if not is_whole_number(count):
+        # as in `is_whole_number`, which would be a call more at every update
+        if isinstance(count, bool) or not isinstance(count, numbers.Integral):
             raise TypeError(f"`{name}` must be a whole number, got {count!r}.")
         if int(count) < 1:
             raise ValueError(f"`{name}` must be at least 1, got {count}.")
