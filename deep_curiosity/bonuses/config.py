@@ -236,10 +236,11 @@ class MarginalConfig(Group):
 
     components: int = setting(2048, at_least=2, at_most=10**5)
     """Next states that make up the marginal."""
-    bandwidth: float | Literal["silverman", "perplexity"] = setting(
+    bandwidth: float | Literal["overlap", "silverman", "perplexity"] = setting(
         "silverman", above=0, at_least=FINEST, at_most=COARSEST
     )
-    """Width of the marginal's kernels, in standard deviations of the components."""
+    """Width of the marginal's kernels, in standard deviations of the components; silverman is his
+    rule, overlap the same until too few overlap, as in many dimensions, and then wider."""
     half_life: float | None = setting(10.0, name="marginal_half_life", above=0, at_most=1e6)
     """Episodes after which a state that was visited counts half; none forgets nothing, so that
     p(x') is that of all replay."""

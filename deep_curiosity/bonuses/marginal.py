@@ -1,6 +1,7 @@
 """The usual next state: a mixture density `p_pi(x')` over what the policy leads to."""
 
 import math
+from inspect import unwrap
 from typing import Literal, NamedTuple
 
 import torch
@@ -19,7 +20,13 @@ from deep_curiosity.transitions import check_counts, is_number
 LOG_BANDWIDTH_RANGE = (math.log(1e-3), math.log(10.0))  # searched for a target perplexity
 TARGET_PERPLEXITY = 8.0
 NUM_MEASURED = 256  # components over which a mean is taken
+NUM_FOLLOWED = 64  # components over which it is taken at every refresh
+MOST_STEP = 0.3  # of the log stretch at one refresh: where none resembles another, no slope tells
 BISECTIONS = 20  # halvings of that range: to a factor of 1.00001
+
+_expected_log_density = unwrap(expected_log_density)  # unchecked: a refresh waits for no device
+
+Bandwidth = float | Literal["overlap", "silverman", "perplexity"]
 
 
 class Information(NamedTuple):
@@ -39,15 +46,22 @@ class NextStateMarginal(nn.Module):
     Args:
         dim: Number of whitened features of a state.
         components: Number of Gaussians, M.
-        bandwidth: `"silverman"` for `h^2 = (4 / (d + 2))^(2 / (d + 4)) M^(-2 / (d + 4))`; a number
-            for `h` itself; `"perplexity"` for the `h` at which a component resembles
-            `target_perplexity` components, itself included.
+        bandwidth: `"silverman"` for `h^2 = (4 / (d + 2))^(2 / (d + 4)) M^(-2 / (d + 4))`;
+            `"overlap"` for the same, stretched where it leaves a component with fewer than
+            `sqrt(M)` that it resembles, as many neighbours as density estimates usually have;
+            a number for `h` itself; `"perplexity"` for the `h` at which a component
+            resembles `target_perplexity` components. A component resembles itself as well.
         target_perplexity: Read only by `bandwidth="perplexity"`.
 
     Raises:
         ValueError: If a count or a scale is out of range.
 
-    Reference: Silverman, "Density Estimation for Statistics and Data Analysis" (1986), (4.14).
+    In many dimensions Silverman's kernels hold one component each, and how far a state lies from
+    the mixture is how far it lies from those that happened to be drawn. The stretch takes one step
+    of Newton's at every refresh, and is kept from one to the next.
+
+    Reference: Silverman, "Density Estimation for Statistics and Data Analysis" (1986), (4.14) and,
+    on `sqrt(M)` neighbours, section 2.5.
     """
 
     loc: Tensor
@@ -57,13 +71,15 @@ class NextStateMarginal(nn.Module):
     component_log_var: Tensor
     """Log variance of every component, bandwidth included, `(components, dim)`."""
     num_seen: Tensor
+    log_stretch: Tensor
+    """Of the bandwidth beyond Silverman's, at least zero; zero unless components shall overlap."""
 
     def __init__(
         self,
         dim: int,
         *,
         components: int = 2048,
-        bandwidth: float | Literal["silverman", "perplexity"] = "silverman",
+        bandwidth: Bandwidth = "silverman",
         target_perplexity: float = TARGET_PERPLEXITY,
     ) -> None:
         super().__init__()
@@ -77,8 +93,10 @@ class NextStateMarginal(nn.Module):
         self.register_buffer("bandwidth_log_var", torch.full((dim,), -math.inf))
         self.register_buffer("component_log_var", torch.zeros(components, dim), persistent=False)
         self.register_buffer("num_seen", torch.zeros((), dtype=torch.long))
+        self.register_buffer("log_stretch", torch.zeros(()))
         self._product_dtype = torch.float64  # of products in which many densities are computed
         self._num_seen = 0  # the same as a plain number: to read it waits for no device
+        self.register_load_state_dict_pre_hook(_add_stretch)
         self.register_load_state_dict_post_hook(_restore)
 
     @torch.no_grad()
@@ -204,25 +222,60 @@ class NextStateMarginal(nn.Module):
     def _perplexity(self, component_log_var: Tensor) -> Tensor:
         """That of the first components, which are many enough for a mean, among all."""
         first = slice(NUM_MEASURED)
-        log_density = expected_log_density(
-            self.loc[first], self.log_var[first], self.loc, component_log_var, self.log_weight
-        )
-        log_share = torch.log_softmax(log_density, dim=-1)
+        log_share = self._log_share(first, component_log_var)
         entropy = torch.special.entr(log_share.exp()).sum(-1)
         weight = self.log_weight[first].exp()
         return ((weight * entropy).sum() / weight.sum()).exp()
 
+    def _log_share(self, rows: slice, component_log_var: Tensor) -> Tensor:
+        """By how much some components resemble each of the first ones, as shares that sum to 1."""
+        number = len(component_log_var)
+        log_density = _expected_log_density(
+            self.loc[rows],
+            self.log_var[rows],
+            self.loc[:number],
+            component_log_var,
+            self.log_weight[:number],
+        )
+        return torch.log_softmax(log_density, dim=-1)
+
     def _fit_bandwidth(self, num_filled: int) -> None:
         """Set the variance that widens every component, `h^2` times the variance of the means."""
         log_var = self.loc[:num_filled].var(0, correction=0).log()  # of the component means
+        log_bandwidth: float | Tensor
         if self.bandwidth == "silverman":
             log_bandwidth = silverman_log_bandwidth(num_filled, self.loc.shape[1])
+        elif self.bandwidth == "overlap":
+            log_bandwidth = silverman_log_bandwidth(num_filled, self.loc.shape[1])
+            self._stretch(log_var + 2 * log_bandwidth, num_filled)
+            log_bandwidth = log_bandwidth + self.log_stretch
         elif self.bandwidth == "perplexity":
             log_bandwidth = self._log_bandwidth_at_target(log_var)
         else:
             log_bandwidth = math.log(self.bandwidth)
         self.bandwidth_log_var.copy_(log_var + 2 * log_bandwidth)
         self._widen()
+
+    def _stretch(self, silverman_log_var: Tensor, num_filled: int) -> None:
+        """Take a step towards `sqrt(M)` components that one resembles, from Silverman's upwards.
+
+        The log densities of which a component's shares are made go with `h^-2`, wherever the
+        kernel is wider than what is predicted. The entropy of the shares then grows with
+        `log h` by twice the variance of their logarithms.
+        """
+        component_log_var = torch.logaddexp(
+            self.log_var[:num_filled], silverman_log_var + 2 * self.log_stretch
+        )
+        followed = slice(0, num_filled, max(num_filled // NUM_FOLLOWED, 1))
+        log_share = self._log_share(followed, component_log_var)
+        share = log_share.exp()
+        entropy = -(share * log_share).sum(-1)
+        variance = (share * log_share.square()).sum(-1) - entropy.square()
+        lacking = 0.5 * math.log(num_filled) - entropy.mean()
+        step = lacking / (2 * variance.mean()).clamp(min=1e-6)
+        step = torch.nan_to_num(step).clamp(-MOST_STEP, MOST_STEP)
+        step = step * step.abs() / MOST_STEP  # near the goal a step is mostly chance
+        self.log_stretch.copy_((self.log_stretch + step).clamp(0.0, LOG_BANDWIDTH_RANGE[1]))
 
     def _widen(self) -> None:
         """Widen all components by the bandwidth, once for all uses up to the next refresh."""
@@ -248,6 +301,13 @@ def _restore(marginal: NextStateMarginal, _: object) -> None:
     marginal._widen()
 
 
+def _add_stretch(
+    marginal: NextStateMarginal, state: dict[str, Tensor], prefix: str, *_: object
+) -> None:
+    """Take states of before there was a stretch."""
+    state.setdefault(f"{prefix}log_stretch", torch.zeros_like(marginal.log_stretch))
+
+
 def silverman_log_bandwidth(num_points: int, dim: int) -> float:
     """Log of Silverman's bandwidth for points of unit variance in `dim` dimensions."""
     return (math.log(4 / (dim + 2)) - math.log(num_points)) / (dim + 4)
@@ -258,10 +318,10 @@ def _check_components(components: int, bandwidth: float | str, target_perplexity
     check_counts(components=components)
     if components < 2:
         raise ValueError(f"`components` must be at least 2, got {components}.")
-    named = bandwidth in ("silverman", "perplexity")
+    named = bandwidth in ("overlap", "silverman", "perplexity")
     if not named and not (is_number(bandwidth) and bandwidth > 0):  # type: ignore[operator]
         raise ValueError(
-            "`bandwidth` must be 'silverman', 'perplexity' or a positive number, "
+            "`bandwidth` must be 'overlap', 'silverman', 'perplexity' or a positive number, "
             f"got {bandwidth!r}."
         )
     fits = is_number(target_perplexity) and 1 < target_perplexity < components

@@ -42,7 +42,7 @@ def test_silverman_bandwidth_by_hand():
 
 
 def test_components_are_widened_by_the_bandwidth_times_their_std():
-    marginal = NextStateMarginal(2, components=64)
+    marginal = NextStateMarginal(2, components=64, bandwidth="silverman")
     loc = torch.randn(64, 2) * torch.tensor([3.0, 0.1])
     marginal.refresh(loc, log_var_of(0.05, 64, 2))
     expected = 0.05**2 + 0.25 * loc.var(0, correction=0)  # h = 1/2
@@ -58,11 +58,84 @@ def test_a_number_is_the_bandwidth_itself():
 
 
 def test_silverman_counts_only_the_components_that_are_filled():
-    marginal = NextStateMarginal(1, components=100)
+    marginal = NextStateMarginal(1, components=100, bandwidth="silverman")
     loc = torch.randn(10, 1)
     marginal.refresh(loc, log_var_of(1e-6, 10, 1))
     width = (0.5 * marginal.bandwidth_log_var).exp() / loc.std(0, correction=0)
     assert width.item() == pytest.approx(1.05922 * 10**-0.2, rel=1e-4)
+
+
+def stretched(states, refreshes=40, **options):
+    """A marginal whose components shall overlap, after some refreshes with sharp predictions."""
+    marginal = NextStateMarginal(
+        states.shape[1], components=len(states), bandwidth="overlap", **options
+    )
+    for _ in range(refreshes):
+        marginal.replace(states, log_var_of(0.05, *states.shape))
+    return marginal
+
+
+def test_kernels_that_overlap_are_silverman_s():
+    states = torch.randn(256, 2)
+    marginal, silverman = stretched(states), NextStateMarginal(2, bandwidth="silverman")
+    silverman.replace(states, log_var_of(0.05, 256, 2))
+    assert silverman.perplexity() > 16
+    assert marginal.bandwidth_log_var.equal(silverman.bandwidth_log_var)
+
+
+@pytest.mark.parametrize(("components", "dim"), [(256, 8), (1024, 17), (256, 60)])
+def test_kernels_are_stretched_until_each_resembles_the_root_of_their_number(components, dim):
+    states = torch.randn(components, dim)
+    silverman = NextStateMarginal(dim, components=components, bandwidth="silverman")
+    silverman.replace(states, log_var_of(0.05, components, dim))
+    assert silverman.perplexity() < 0.3 * components**0.5
+    perplexity = stretched(states).perplexity().item()
+    assert perplexity == pytest.approx(components**0.5, rel=0.3)
+
+
+def test_a_stretch_that_is_needed_no_more_goes():
+    marginal = stretched(torch.randn(256, 8))
+    assert marginal.log_stretch > 0.2
+    flat = torch.randn(256, 1) * torch.randn(8)  # on a line all overlap
+    for _ in range(40):
+        marginal.replace(flat, log_var_of(0.05, 256, 8))
+    assert marginal.log_stretch == 0
+
+
+def test_a_stretch_is_not_lost_with_a_refresh_of_no_number():
+    marginal = stretched(torch.randn(256, 8))
+    before = marginal.log_stretch.clone()
+    marginal.replace(torch.full((256, 8), math.inf), torch.zeros(256, 8))
+    assert marginal.log_stretch.equal(before)
+
+
+def test_less_of_a_divergence_is_the_draw_where_kernels_overlap():
+    dim, number = 17, 512
+    asked = gaussian(torch.randn(64, dim), log_var_of(0.05, 64, dim))
+
+    def share_of_draw(bandwidth):
+        marginal = NextStateMarginal(dim, components=number, bandwidth=bandwidth)
+        for _ in range(20):
+            marginal.replace(torch.randn(number, dim), log_var_of(0.05, number, dim))
+        draws = []
+        for _ in range(10):
+            marginal.replace(torch.randn(number, dim), log_var_of(0.05, number, dim))
+            nats = marginal.kl_upper(asked)
+            draws.append(nats - nats.mean())
+        nats = torch.stack(draws)
+        return (nats.var(0).mean() / nats.var()).item()
+
+    assert share_of_draw("overlap") < 0.3 * share_of_draw("silverman")
+
+
+def test_a_state_of_before_there_was_a_stretch_is_taken():
+    marginal = stretched(torch.randn(64, 8))
+    state = marginal.state_dict()
+    del state["log_stretch"]
+    copy = NextStateMarginal(8, components=64)
+    copy.load_state_dict(state)
+    assert copy.log_stretch == 0
+    assert copy.component_log_var.equal(marginal.component_log_var)
 
 
 def test_density_is_that_of_the_widened_mixture():
@@ -177,6 +250,16 @@ def test_it_is_empty_until_it_is_refreshed():
     assert marginal.is_empty
     marginal.refresh(*numbered(0, 1))
     assert not marginal.is_empty
+
+
+def test_a_stretch_is_in_the_state_dict():
+    states = torch.randn(64, 8)
+    marginal, copy = stretched(states), stretched(states, refreshes=1)
+    copy.load_state_dict(marginal.state_dict())
+    for one in (marginal, copy):
+        one.replace(states, log_var_of(0.05, 64, 8))
+    assert copy.log_stretch.equal(marginal.log_stretch) and marginal.log_stretch > 0.2
+    assert copy.component_log_var.equal(marginal.component_log_var)
 
 
 def test_all_state_is_in_the_state_dict():
