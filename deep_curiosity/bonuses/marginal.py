@@ -21,6 +21,7 @@ LOG_BANDWIDTH_RANGE = (math.log(1e-3), math.log(10.0))  # searched for a target 
 TARGET_PERPLEXITY = 8.0
 NUM_MEASURED = 256  # components over which a mean is taken
 NUM_FOLLOWED = 64  # components over which it is taken at every refresh
+MOST_LOG_STRETCH = math.log(1e3)  # of the bandwidth beyond Silverman's
 MOST_STEP = 0.3  # of the log stretch at one refresh: where none resembles another, no slope tells
 BISECTIONS = 20  # halvings of that range: to a factor of 1.00001
 
@@ -48,26 +49,33 @@ class NextStateMarginal(nn.Module):
         components: Number of Gaussians, M.
         bandwidth: `"silverman"` for `h^2 = (4 / (d + 2))^(2 / (d + 4)) M^(-2 / (d + 4))`;
             `"overlap"` for the same, stretched where it leaves a component with fewer than
-            `sqrt(M)` that it resembles, as many neighbours as density estimates usually have;
-            a number for `h` itself; `"perplexity"` for the `h` at which a component
-            resembles `target_perplexity` components. A component resembles itself as well.
+            `sqrt(M) / 2` that it resembles; a number for `h` itself; `"perplexity"` for the `h`
+            at which a component resembles `target_perplexity`. It resembles itself as well.
         target_perplexity: Read only by `bandwidth="perplexity"`.
 
     Raises:
         ValueError: If a count or a scale is out of range.
 
     In many dimensions Silverman's kernels hold one component each, and how far a state lies from
-    the mixture is how far it lies from those that happened to be drawn. The stretch takes one step
-    of Newton's at every refresh, and is kept from one to the next.
+    the mixture is how far it lies from those that happened to be drawn. Kernels that are stretched
+    by `t` would blur all that the mixture knows, so their centres move towards the mean, by
 
-    Reference: Silverman, "Density Estimation for Statistics and Data Analysis" (1986), (4.14) and,
-    on `sqrt(M)` neighbours, section 2.5.
+    .. math:: s^2 = \frac{1 + h^2 / t^2}{1 + h^2 t^2}
+
+    for Silverman's `h`: the variance of the mixture falls from Silverman's `1 + h^2` to that of
+    the components, and the mixture nears their Gaussian. The stretch takes a step of Newton's at
+    every refresh, and is kept from one to the next.
+
+    Reference: Silverman, "Density Estimation for Statistics and Data Analysis" (1986), (4.14), and
+    section 6.4.1 on kernels that keep a variance.
     """
 
     loc: Tensor
     log_var: Tensor
     log_weight: Tensor
     bandwidth_log_var: Tensor
+    component_loc: Tensor
+    """Centre of every component, `(components, dim)`: `loc`, unless kernels are stretched."""
     component_log_var: Tensor
     """Log variance of every component, bandwidth included, `(components, dim)`."""
     num_seen: Tensor
@@ -91,6 +99,7 @@ class NextStateMarginal(nn.Module):
         self.register_buffer("log_var", torch.zeros(components, dim))
         self.register_buffer("log_weight", torch.full((components,), -math.inf))
         self.register_buffer("bandwidth_log_var", torch.full((dim,), -math.inf))
+        self.register_buffer("component_loc", torch.zeros(components, dim), persistent=False)
         self.register_buffer("component_log_var", torch.zeros(components, dim), persistent=False)
         self.register_buffer("num_seen", torch.zeros((), dtype=torch.long))
         self.register_buffer("log_stretch", torch.zeros(()))
@@ -106,6 +115,7 @@ class NextStateMarginal(nn.Module):
         """Let predicted next states take the place of the oldest components, and fit `h`.
 
         Raises:
+            TypeError: If one is no tensor of the marginal's dtype.
             ValueError: If one is not of the marginal's features, or there are not as many of both.
         """
         self._check_states(loc, log_var)
@@ -115,9 +125,8 @@ class NextStateMarginal(nn.Module):
         self.loc[slot], self.log_var[slot] = loc, log_var
         self._num_seen += loc.shape[0]
         self.num_seen.fill_(self._num_seen)
-        num_filled = min(self._num_seen, components)
-        self.log_weight[:num_filled] = -math.log(num_filled)
-        self._fit_bandwidth(num_filled)
+        self.log_weight[: self._num_filled] = -math.log(self._num_filled)
+        self._fit_bandwidth()
 
     @torch.no_grad()
     def replace(
@@ -126,6 +135,7 @@ class NextStateMarginal(nn.Module):
         """Let predicted next states take the place of all components, and fit `h`.
 
         Raises:
+            TypeError: If one is no tensor of the marginal's dtype.
             ValueError: If one is not of the marginal's features, or there are not as many of both.
         """
         self._check_states(loc, log_var)
@@ -141,7 +151,7 @@ class NextStateMarginal(nn.Module):
     @property
     def mixture(self) -> DiagonalMixture:
         """The density itself: components widened by the bandwidth, with their weights."""
-        return DiagonalMixture(self.loc, self.component_log_var, self.log_weight)
+        return DiagonalMixture(self.component_loc, self.component_log_var, self.log_weight)
 
     def kl_upper(self, prediction: DiagonalMixture) -> Float[Tensor, "*batch"]:
         """Upper bound of `KL(prediction || marginal)`, equation (18), in nats.
@@ -161,7 +171,7 @@ class NextStateMarginal(nn.Module):
 
     def perplexity(self) -> Float[Tensor, ""]:
         """How many components a component resembles, itself included: `exp` of mean entropy."""
-        return self._perplexity(self.component_log_var)
+        return self._perplexity(self.component_loc, self.component_log_var)
 
     def information(self, noise: Float[Tensor, "samples number dim"]) -> Information:
         r"""Information about the next state in where one is and what one does there, in nats.
@@ -194,9 +204,7 @@ class NextStateMarginal(nn.Module):
         own = gaussian_log_prob(value, loc, log_std)
         everyone = mixture_log_density(value, self.loc, self.log_var, self.log_weight)
         point = torch.full_like(value, -math.inf)
-        others = expected_log_density(
-            value, point, self.loc, self.component_log_var, self.log_weight
-        )  # samples number components
+        others = expected_log_density(value, point, *self.mixture)  # samples number components
         itself = torch.eye(number, len(self.loc), dtype=torch.bool, device=self.loc.device)
         weight = self.log_weight[:number].exp()
         without = torch.logsumexp(others.masked_fill(itself, -math.inf), dim=-1)
@@ -209,7 +217,11 @@ class NextStateMarginal(nn.Module):
         )
 
     def _check_states(self, loc: Tensor, log_var: Tensor) -> None:
-        """Reject states that would be spread over the marginal's features."""
+        """Reject states that would be spread over the marginal's features, or not fit in."""
+        for name, value in (("loc", loc), ("log_var", log_var)):
+            kind = value.dtype if isinstance(value, Tensor) else type(value).__name__
+            if kind != self.loc.dtype:
+                raise TypeError(f"`{name}` must be a tensor of {self.loc.dtype}, got {kind}.")
         dim = self.loc.shape[1]
         if loc.ndim != 2 or loc.shape[1] != dim or len(loc) == 0:
             raise ValueError(f"`loc` must have shape (batch, {dim}), got {tuple(loc.shape)}.")
@@ -219,68 +231,94 @@ class NextStateMarginal(nn.Module):
                 f"got {tuple(log_var.shape)}."
             )
 
-    def _perplexity(self, component_log_var: Tensor) -> Tensor:
+    def _perplexity(self, component_loc: Tensor, component_log_var: Tensor) -> Tensor:
         """That of the first components, which are many enough for a mean, among all."""
         first = slice(NUM_MEASURED)
-        log_share = self._log_share(first, component_log_var)
+        log_share = self._log_share(first, component_loc, component_log_var)
         entropy = torch.special.entr(log_share.exp()).sum(-1)
         weight = self.log_weight[first].exp()
         return ((weight * entropy).sum() / weight.sum()).exp()
 
-    def _log_share(self, rows: slice, component_log_var: Tensor) -> Tensor:
-        """By how much some components resemble each of the first ones, as shares that sum to 1."""
-        number = len(component_log_var)
+    def _log_share(
+        self, rows: slice, component_loc: Tensor, component_log_var: Tensor
+    ) -> Float[Tensor, "rows components"]:
+        """By how much some components resemble each of the others, as shares that sum to 1."""
+        number = len(component_loc)
         log_density = _expected_log_density(
-            self.loc[rows],
+            component_loc[rows],
             self.log_var[rows],
-            self.loc[:number],
+            component_loc,
             component_log_var,
             self.log_weight[:number],
         )
         return torch.log_softmax(log_density, dim=-1)
 
-    def _fit_bandwidth(self, num_filled: int) -> None:
+    def _fit_bandwidth(self) -> None:
         """Set the variance that widens every component, `h^2` times the variance of the means."""
-        log_var = self.loc[:num_filled].var(0, correction=0).log()  # of the component means
-        log_bandwidth: float | Tensor
+        log_var = self.loc[: self._num_filled].var(0, correction=0).log()  # of component means
+        if self.bandwidth == "overlap":
+            self._set_bandwidth(log_var, self._silverman)  # stretched as before: what it leaves
+            self._stretch()
+            self._set_bandwidth(log_var, self._silverman)
+            return
+        self.log_stretch.zero_()  # which a state of other settings may have had
         if self.bandwidth == "silverman":
-            log_bandwidth = silverman_log_bandwidth(num_filled, self.loc.shape[1])
-        elif self.bandwidth == "overlap":
-            log_bandwidth = silverman_log_bandwidth(num_filled, self.loc.shape[1])
-            self._stretch(log_var + 2 * log_bandwidth, num_filled)
-            log_bandwidth = log_bandwidth + self.log_stretch
+            log_bandwidth = self._silverman
         elif self.bandwidth == "perplexity":
             log_bandwidth = self._log_bandwidth_at_target(log_var)
         else:
             log_bandwidth = math.log(self.bandwidth)
-        self.bandwidth_log_var.copy_(log_var + 2 * log_bandwidth)
-        self._widen()
+        self._set_bandwidth(log_var, log_bandwidth)
 
-    def _stretch(self, silverman_log_var: Tensor, num_filled: int) -> None:
-        """Take a step towards `sqrt(M)` components that one resembles, from Silverman's upwards.
+    @property
+    def _num_filled(self) -> int:
+        """Components that there are; one while there is none."""
+        return max(min(self._num_seen, len(self.loc)), 1)
 
-        The log densities of which a component's shares are made go with `h^-2`, wherever the
-        kernel is wider than what is predicted. The entropy of the shares then grows with
-        `log h` by twice the variance of their logarithms.
+    @property
+    def _silverman(self) -> float:
+        return silverman_log_bandwidth(self._num_filled, self.loc.shape[1])
+
+    @property
+    def _log_shrinkage(self) -> Tensor:
+        """Log of `s^2`, by which the mixture is brought together where kernels are stretched."""
+        var, stretch = math.exp(2 * self._silverman), torch.exp(2 * self.log_stretch)
+        return torch.log1p(var / stretch) - torch.log1p(var * stretch)
+
+    def _stretch(self) -> None:
+        """Take a step towards `sqrt(M) / 2` components that one resembles, or Silverman's.
+
+        Where the kernel is wider than what is predicted, the log densities of which a component's
+        shares are made go with `h^-2`. The entropy of the shares then grows with `log h` by twice
+        the variance of their logarithms.
         """
-        component_log_var = torch.logaddexp(
-            self.log_var[:num_filled], silverman_log_var + 2 * self.log_stretch
+        number = self._num_filled
+        followed = slice(0, number, max(number // NUM_FOLLOWED, 1))
+        log_share = self._log_share(
+            followed, self.component_loc[:number], self.component_log_var[:number]
         )
-        followed = slice(0, num_filled, max(num_filled // NUM_FOLLOWED, 1))
-        log_share = self._log_share(followed, component_log_var)
         share = log_share.exp()
         entropy = -(share * log_share).sum(-1)
         variance = (share * log_share.square()).sum(-1) - entropy.square()
-        lacking = 0.5 * math.log(num_filled) - entropy.mean()
+        lacking = 0.5 * math.log(number / 4) - entropy.mean()
         step = lacking / (2 * variance.mean()).clamp(min=1e-6)
         step = torch.nan_to_num(step).clamp(-MOST_STEP, MOST_STEP)
         step = step * step.abs() / MOST_STEP  # near the goal a step is mostly chance
-        self.log_stretch.copy_((self.log_stretch + step).clamp(0.0, LOG_BANDWIDTH_RANGE[1]))
+        self.log_stretch.copy_((self.log_stretch + step).clamp(0.0, MOST_LOG_STRETCH))
+
+    def _set_bandwidth(self, log_var: Tensor, log_bandwidth: float) -> None:
+        """Widen all components by a bandwidth and what it is stretched by."""
+        stretched = log_var + 2 * (log_bandwidth + self.log_stretch)
+        self.bandwidth_log_var.copy_(stretched + self._log_shrinkage)
+        self._widen()
 
     def _widen(self) -> None:
-        """Widen all components by the bandwidth, once for all uses up to the next refresh."""
+        """Widen and bring together all components, once for all uses up to the next refresh."""
         exact = matmul_is_float32(self.loc.device.type)
         self._product_dtype = torch.float32 if exact else torch.float64
+        mean = self.loc[: self._num_filled].mean(0)
+        away = 1 - torch.exp(0.5 * self._log_shrinkage)  # exactly zero where nothing is stretched
+        self.component_loc.copy_(self.loc.lerp(mean, away))
         self.component_log_var.copy_(torch.logaddexp(self.log_var, self.bandwidth_log_var))
 
     def _log_bandwidth_at_target(self, log_var: Tensor) -> float:
@@ -289,7 +327,7 @@ class NextStateMarginal(nn.Module):
         for _ in range(BISECTIONS):
             middle = 0.5 * (low + high)
             widened = torch.logaddexp(self.log_var, log_var + 2 * middle)
-            if self._perplexity(widened) < self.target_perplexity:
+            if self._perplexity(self.loc, widened) < self.target_perplexity:
                 low = middle
             else:
                 high = middle

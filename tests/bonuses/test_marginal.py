@@ -84,13 +84,42 @@ def test_kernels_that_overlap_are_silverman_s():
 
 
 @pytest.mark.parametrize(("components", "dim"), [(256, 8), (1024, 17), (256, 60)])
-def test_kernels_are_stretched_until_each_resembles_the_root_of_their_number(components, dim):
+def test_kernels_are_stretched_until_each_resembles_half_the_root_of_them(components, dim):
     states = torch.randn(components, dim)
     silverman = NextStateMarginal(dim, components=components, bandwidth="silverman")
     silverman.replace(states, log_var_of(0.05, components, dim))
     assert silverman.perplexity() < 0.3 * components**0.5
     perplexity = stretched(states).perplexity().item()
-    assert perplexity == pytest.approx(components**0.5, rel=0.3)
+    assert perplexity == pytest.approx(0.5 * components**0.5, rel=0.3)
+
+
+@pytest.mark.parametrize("dim", [8, 60])
+def test_a_stretched_mixture_keeps_the_variance_between_silverman_s_and_that_of_states(dim):
+    states = torch.randn(256, dim)
+    marginal = stretched(states)
+    center, width = marginal.component_loc, marginal.component_log_var.exp()
+    variance = center.var(0, correction=0) + width.mean(0) - 0.05**2
+    silverman = math.exp(2 * silverman_log_bandwidth(256, dim))
+    expected = 1 + silverman / math.exp(2 * marginal.log_stretch)
+    torch.testing.assert_close(
+        variance / states.var(0, correction=0), torch.full((dim,), expected)
+    )
+
+
+@pytest.mark.parametrize("dim", [17, 60])
+def test_in_many_dimensions_a_divergence_is_nearly_that_of_the_density_itself(dim):
+    state, log_var = torch.randn(256, dim), log_var_of(0.05, 256, dim)
+    log_var = log_var + (1 / dim) ** 0.5 * torch.randn(256, 1)  # half of what differs is how sharp
+    truth = 0.5 * (state.square() + log_var.exp() - 1 - log_var).sum(-1)
+    states = torch.randn(1024, dim)
+    nats = stretched(states).kl_upper(gaussian(state, log_var))
+    assert (nats - truth).mean().abs() < 0.02 * truth.mean()
+    assert nats.std() == pytest.approx(truth.std().item(), rel=0.15)
+    assert torch.corrcoef(torch.stack([nats, truth]))[0, 1] > 0.98
+    silverman = NextStateMarginal(dim, components=1024, bandwidth="silverman")
+    silverman.replace(states, log_var_of(0.05, 1024, dim))
+    crude = silverman.kl_upper(gaussian(state, log_var))
+    assert torch.corrcoef(torch.stack([crude, truth]))[0, 1] < 0.95
 
 
 def test_a_stretch_that_is_needed_no_more_goes():
@@ -130,12 +159,39 @@ def test_less_of_a_divergence_is_the_draw_where_kernels_overlap():
 
 def test_a_state_of_before_there_was_a_stretch_is_taken():
     marginal = stretched(torch.randn(64, 8))
-    state = marginal.state_dict()
+    silverman = NextStateMarginal(8, components=64, bandwidth="silverman")
+    silverman.replace(torch.randn(64, 8), log_var_of(0.05, 64, 8))
+    state = silverman.state_dict()
     del state["log_stretch"]
-    copy = NextStateMarginal(8, components=64)
-    copy.load_state_dict(state)
-    assert copy.log_stretch == 0
-    assert copy.component_log_var.equal(marginal.component_log_var)
+    marginal.load_state_dict(state)
+    assert marginal.log_stretch == 0
+    probe = gaussian(*torch.randn(2, 5, 8))
+    assert marginal.kl_upper(probe).equal(silverman.kl_upper(probe))
+
+
+def test_a_marginal_of_another_bandwidth_forgets_the_stretch():
+    silverman = NextStateMarginal(8, components=64, bandwidth="silverman")
+    silverman.load_state_dict(stretched(torch.randn(64, 8)).state_dict())
+    states = torch.randn(64, 8), log_var_of(0.05, 64, 8)
+    silverman.replace(*states)
+    fresh = NextStateMarginal(8, components=64, bandwidth="silverman")
+    fresh.replace(*states)
+    probe = gaussian(*torch.randn(2, 5, 8))
+    assert silverman.kl_upper(probe).equal(fresh.kl_upper(probe))
+
+
+@pytest.mark.parametrize("refused", [torch.zeros(4, 2).double(), torch.zeros(4, 2).numpy()])
+@pytest.mark.parametrize("name", ["loc", "log_var"])
+@pytest.mark.parametrize("call", ["refresh", "replace"])
+def test_states_of_another_kind_are_refused_and_lose_nothing(call, name, refused):
+    marginal = NextStateMarginal(2, components=4)
+    marginal.refresh(*torch.randn(2, 4, 2))
+    before = {key: value.clone() for key, value in marginal.state_dict().items()}
+    given = {"loc": torch.ones(4, 2), "log_var": torch.ones(4, 2)} | {name: refused}
+    with pytest.raises(TypeError, match=rf"`{name}` must be a tensor of torch.float32, got"):
+        getattr(marginal, call)(**given)
+    assert not marginal.is_empty
+    assert all(value.equal(before[key]) for key, value in marginal.state_dict().items())
 
 
 def test_density_is_that_of_the_widened_mixture():
@@ -259,7 +315,8 @@ def test_a_stretch_is_in_the_state_dict():
     for one in (marginal, copy):
         one.replace(states, log_var_of(0.05, 64, 8))
     assert copy.log_stretch.equal(marginal.log_stretch) and marginal.log_stretch > 0.2
-    assert copy.component_log_var.equal(marginal.component_log_var)
+    for name in ("component_loc", "component_log_var"):
+        assert getattr(copy, name).equal(getattr(marginal, name))
 
 
 def test_all_state_is_in_the_state_dict():
