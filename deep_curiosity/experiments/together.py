@@ -27,7 +27,7 @@ from deep_curiosity.experiments.tables import (
 COLUMNS = ("evaluation_return", "area")
 """Of the rows that can be compared between tasks, as far as a study has them."""
 SHARES = np.linspace(0, 1, 21)
-LEVELS = np.linspace(0, 1.5, 31)
+LEVELS = np.arange(31) / 20  # to 1.5, each rounded as a return that lies on it is
 
 
 def are_comparable(study: Study) -> bool:

@@ -9,7 +9,9 @@ from matplotlib.figure import Figure
 from deep_curiosity.experiments.grid import summary_of
 from deep_curiosity.experiments.study import Study, Task
 from deep_curiosity.experiments.together import (
+    LEVELS,
     _latest,
+    _profile,
     are_comparable,
     complete_agents,
     have_joint_curve,
@@ -201,3 +203,16 @@ def test_an_agent_with_steps_of_its_own_is_drawn_over_these():
     ]
     (latest,) = _latest(study, study.tasks[0], curves, "long")
     assert latest[[0, 4, 5, 10, 15, 20]] == pytest.approx([0.0, 0.0, 1.0, 2.0, 3.0, 4.0])
+
+
+@pytest.mark.parametrize("place", range(31))
+def test_a_run_that_ends_exactly_at_a_level_reaches_it(place):
+    tasks = [Task("maze", SHORT, 20.0), Task("hill", SHORT, 100.0)]
+    study = replace(STUDY, tasks=tasks, agents={"bold": {}})
+    rows = [
+        {"task": task.name, "agent": "bold", "seed": 0}
+        | {"evaluation_return": place * task.solved_return / 20}
+        for task in tasks
+    ]
+    shares = [estimate.value for estimate in _profile(study, rows, "bold")]
+    assert shares == [float(each <= place) for each in range(len(LEVELS))]
