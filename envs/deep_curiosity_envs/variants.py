@@ -8,6 +8,8 @@ from gymnasium.spaces import Box
 
 Step = tuple[Any, float, bool, bool, dict[str, Any]]
 
+NOISE_STREAM = 1  # of a seed, apart from the stream that the task itself draws from
+
 
 class ActionCost(gymnasium.Wrapper):
     """A task whose actions cost reward, so that doing nothing is a local optimum.
@@ -89,9 +91,10 @@ class NoiseSwitch(gymnasium.Wrapper):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
         """Begin an episode, with the noise off."""
-        if seed is not None:
-            self._generator = np.random.default_rng(seed)
         observation, info = self.env.reset(seed=seed, options=options)
+        if seed is not None:
+            own = np.random.SeedSequence(seed, spawn_key=(NOISE_STREAM,))
+            self._generator = np.random.default_rng(own)
         return self._with_channels(observation, noisy=False), info | {"noisy": False}
 
     def step(self, action: Any) -> Step:

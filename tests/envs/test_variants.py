@@ -57,6 +57,28 @@ def test_noise_repeats_with_the_seed_and_goes_on_without_one():
     assert not np.isin(env.step(on[0])[0][2:], other[1:, 2:]).any()
 
 
+def test_noise_says_nothing_of_what_the_task_draws():
+    class Drawing(gymnasium.Env):
+        """Shows the random numbers that it draws."""
+
+        action_space = observation_space = gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float64)
+
+        def __init__(self, render_mode=None):
+            pass
+
+        def reset(self, *, seed=None, options=None):
+            super().reset(seed=seed)
+            return self.np_random.uniform(-1, 1, 1), {}
+
+        def step(self, action):
+            return self.np_random.uniform(-1, 1, 1), 0.0, False, False, {}
+
+    gymnasium.register("variants/Drawing-v0", Drawing)
+    env = NoiseSwitch("variants/Drawing-v0", num_channels=1)
+    drawn, noise = rollout(env, np.ones((50, 2))).T
+    assert not np.isin(noise[1:], drawn).any()
+
+
 @pytest.mark.parametrize(
     ("make", "rule"),
     [
