@@ -71,8 +71,7 @@ class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f'`render_mode` must be None or "rgb_array", got {render_mode!r}.')
         self.model, self.data = model, mujoco.MjData(model)
-        self.qpos, self.qvel, self.mocap_pos = self.data.qpos, self.data.qvel, self.data.mocap_pos
-        self.userdata = self.data.userdata
+        self._look_at_data()
         self.action_cost, self.render_mode = action_cost, render_mode
         bound = np.asarray(observation_bound, dtype=np.float32)
         self.observation_space = gymnasium.spaces.Box(-bound, bound, dtype=np.float32)
@@ -81,6 +80,18 @@ class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
         self.success_streak = SuccessStreak(round(self.hold_time / CONTROL_STEP))
         self._bound = bound
         self._renderer: mujoco.Renderer | None = None
+
+    def _look_at_data(self) -> None:
+        """Let the arrays of the one environment be those in `data`."""
+        self.qpos, self.qvel, self.mocap_pos = self.data.qpos, self.data.qvel, self.data.mocap_pos
+        self.userdata = self.data.userdata
+
+    def __getstate__(self) -> dict[str, Any]:
+        return self.__dict__ | {"_renderer": None}  # which a copy makes anew
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._look_at_data()
 
     @abc.abstractmethod
     def initialize_episode(self) -> None:

@@ -1,8 +1,10 @@
 """Laws that every task obeys."""
 
+import copy
 import importlib
 import math
 import os
+import pickle
 import subprocess
 import sys
 
@@ -146,6 +148,20 @@ def test_instances_do_not_share_state(task_id):
     for action, expected in zip(actions, alone[1:], strict=True):
         other.step(-action)
         assert env.step(action)[0].tobytes() == expected[0]
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copy_goes_on_as_the_task_would_and_leaves_it_alone(task_id, copied):
+    env = make(task_id)
+    env.reset(seed=0)
+    first, *later = random_actions(env, 20)
+    env.step(first)
+    twin, before = copied(env), env.unwrapped.observe()
+    courses = [[env.step(action)[0].tobytes() for action in later] for env in (twin, env)]
+    assert courses[0] == courses[1]
+    assert (twin.unwrapped.observe() != before).any()
+    assert trajectory(twin, later, seed=3) == trajectory(make(task_id), later, seed=3)
+    assert twin.unwrapped.qpos.base is not env.unwrapped.qpos.base
 
 
 def test_random_episodes_stay_in_the_spaces_and_pay_at_most_one(task_id):
