@@ -11,6 +11,8 @@ from torch import Tensor
 
 MOST = 2**40  # of whatever is counted: more has no place in any memory
 LARGEST = 1e14  # of what is learned from; beyond it, squares of whitened values leave float32
+LARGEST_ACTION = 1e3  # of what is not whitened: a gradient grows with its cube, Adam squares that
+LIMITS = {"action": LARGEST_ACTION}  # of what is named so; of all else, `LARGEST`
 
 
 class Transition(NamedTuple):
@@ -146,10 +148,11 @@ def check_inputs(dtype: torch.dtype, **inputs: tuple[Any, int]) -> None:
     Raises:
         TypeError: If one is no tensor or has another dtype.
         ValueError: If one has the wrong shape or another number of rows than the first, or holds
-            NaN, infinity or numbers beyond 1e14. Values are not looked at inside a compiled graph
-            or a transform of `torch.func`, where they may stand for many.
+            NaN, infinity or numbers beyond 1e14, actions beyond 1e3. Values are not looked at
+            inside a compiled graph or a transform of `torch.func`, where they may stand for many.
     """
-    total, first = 0.0, None
+    total: Any = None
+    first: Any = None
     has_values = not (torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active())
     for name, (value, dim) in inputs.items():
         fits = isinstance(value, Tensor) and value.dtype == dtype
@@ -162,7 +165,9 @@ def check_inputs(dtype: torch.dtype, **inputs: tuple[Any, int]) -> None:
                 f"got {len(value)}."
             )
         if has_values:
-            total = total + torch.linalg.vector_norm(value.detach())
+            norm = torch.linalg.vector_norm(value.detach())
+            share = LARGEST / LIMITS.get(name, LARGEST)
+            total = norm * share if total is None else torch.add(total, norm, alpha=share)
     if has_values and not total <= LARGEST:  # one wait for a device
         check_moderate(**{name: value for name, (value, _) in inputs.items()})
 
@@ -250,18 +255,19 @@ def check_finite(**values: Tensor) -> None:
 
 
 def check_moderate(**values: Tensor) -> None:
-    """Reject NaN, infinity and numbers beyond 1e14, naming the first row that has one.
+    """Reject NaN, infinity and numbers beyond 1e14, actions beyond 1e3, naming the first such row.
 
     Raises:
         ValueError: If any entry is none that can be learned from.
     """
     check_finite(**values)
     for name, value in values.items():
-        beyond = value.abs() > LARGEST
+        limit = LIMITS.get(name, LARGEST)
+        beyond = value.abs() > limit
         if beyond.any():
             row = int(beyond.nonzero()[0, 0])
             raise ValueError(
-                f"`{name}` must lie within {LARGEST:g} of zero, "
+                f"`{name}` must lie within {limit:g} of zero, "
                 f"got {value[row].tolist()} in row {row}."
             )
 
@@ -305,8 +311,9 @@ def check_transition(
             and reward.shape == terminated.shape == truncated.shape == (batch,)
         )
         # one wait for a device; a norm that is too large only needs another look
-        norm = torch.linalg.vector_norm
-        total = norm(observation) + norm(action) + norm(next_observation) + norm(reward)
+        norm, share = torch.linalg.vector_norm, LARGEST / LARGEST_ACTION
+        total = torch.add(norm(observation), norm(action), alpha=share)
+        total = total + norm(next_observation) + norm(reward)
         if fits and batch and total <= LARGEST:
             return
     except (AttributeError, TypeError, ValueError, RuntimeError):

@@ -172,8 +172,8 @@ def test_a_pair_must_have_as_many_rows() -> None:
     [
         (math.nan, r"`action` must be finite, got \[nan\] in row 2"),
         (-math.inf, r"`action` must be finite, got \[-inf\] in row 2"),
-        (1e38, r"`action` must lie within 1e\+14 of zero, got \[9.99\S+e\+37\] in row 2"),
-        (-1e15, r"`action` must lie within 1e\+14 of zero"),
+        (1e38, r"`action` must lie within 1000 of zero, got \[9.99\S+e\+37\] in row 2"),
+        (-1001.0, r"`action` must lie within 1000 of zero, got \[-1001.0\] in row 2"),
     ],
 )
 def test_what_cannot_be_computed_with_is_named_with_its_row(value: float, message: str) -> None:
@@ -188,14 +188,31 @@ def test_large_values_within_the_bound_are_taken_however_many() -> None:
     check_inputs(torch.float32, observation=(observation, 3))
 
 
-@pytest.mark.parametrize("field", ["observation", "action", "reward", "next_observation"])
-def test_a_transition_with_an_absurd_number_is_refused(field: str) -> None:
+@pytest.mark.parametrize(
+    ("field", "value", "limit"),
+    [
+        ("observation", 1e25, r"1e\+14"),
+        ("reward", 1e25, r"1e\+14"),
+        ("next_observation", 1e25, r"1e\+14"),
+        ("action", 1e25, "1000"),
+        ("action", 1001.0, "1000"),
+    ],
+)
+def test_a_transition_with_an_absurd_number_is_refused(
+    field: str, value: float, limit: str
+) -> None:
     flags = torch.zeros(4, dtype=torch.bool)
     numbers = torch.zeros(4, 3), torch.zeros(4, 2), torch.zeros(4), torch.zeros(4, 3)
     transition = Transition(*numbers, flags, flags)
-    getattr(transition, field)[1] = 1e25
-    with pytest.raises(ValueError, match=f"`{field}` must lie within 1e\\+14 of zero, got"):
+    getattr(transition, field)[1] = value
+    with pytest.raises(ValueError, match=f"`{field}` must lie within {limit} of zero, got"):
         check_transition(transition, 3, 2)
+
+
+def test_actions_within_the_bound_are_taken_however_many() -> None:
+    batch = transition(batch=1_000)._replace(action=torch.full((1_000, 2), -1e3))
+    check_transition(batch, 3, 2)
+    check_inputs(torch.float32, action=(batch.action, 2), observation=(batch.observation, 3))
 
 
 @pytest.mark.parametrize("count", [True, 2.0, None, "3"])

@@ -200,7 +200,7 @@ class CuriosityBonus(Bonus):
             RuntimeError: If nothing has been observed yet.
             TypeError: If an argument has the wrong kind.
             ValueError: If one has the wrong shape, another batch size, or a value that is not
-                finite or beyond 1e14.
+                finite or beyond 1e14, an action beyond 1e3.
         """
         shape = getattr(observation, "shape", None)
         if next_observation is not None and getattr(next_observation, "shape", None) != shape:

@@ -41,6 +41,33 @@ def test_what_is_asked_must_be_finite_and_no_larger_than_can_be_squared(
 
 
 @pytest.mark.parametrize("name", BONUSES)
+@pytest.mark.parametrize("value", [1.001e3, 1e13])
+def test_an_action_from_which_adam_would_not_recover_is_refused(name: str, value: float) -> None:
+    bonus, asked = make(name), question()
+    asked["action"][5, 1] = value
+    observation, action, following = asked.values()
+    flags = torch.zeros(ROWS, dtype=torch.bool)
+    rows = Transition(observation, action, torch.zeros(ROWS), following, flags, flags)
+    for ask in (lambda: bonus(**asked), lambda: bonus.loss(rows)):
+        with pytest.raises(ValueError, match=r"`action` must lie within 1000 of zero.* in row 5"):
+            ask()
+
+
+@pytest.mark.parametrize("name", BONUSES)
+def test_the_largest_action_leaves_the_squares_of_adam_far_from_infinity(name: str) -> None:
+    flags = torch.zeros(ROWS, dtype=torch.bool)
+    learner = BonusLearner(make_bonus(name, 3, 2, hidden_dims=(8,)))
+    for number in range(20):
+        observation, action = pair()
+        action[1, 0] = 1e3 * (-1) ** number
+        rows = observation, action, torch.randn(ROWS), torch.randn(ROWS, 3), flags, flags
+        learner.step(Transition(*rows))
+    state = {} if learner.optimizer is None else learner.optimizer.state_dict()
+    squares = [value.max() for part, value in state.items() if part.startswith("square")]
+    assert all(square < 1e20 for square in squares)
+
+
+@pytest.mark.parametrize("name", BONUSES)
 def test_an_observation_of_a_trillion_is_answered_with_a_number(name: str) -> None:
     bonus, asked = make(name), question()
     asked["observation"][0], asked["next_observation"][1] = 1e12, -1e14

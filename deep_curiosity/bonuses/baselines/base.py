@@ -83,7 +83,7 @@ class BaselineBonus(Bonus):
             TypeError: If an argument has the wrong kind.
             ValueError: If `next_observation` is missing where outcomes are scored, or an argument
                 has the wrong shape, another batch size, or a value that is not finite or beyond
-                1e14.
+                1e14, an action beyond 1e3.
         """
         inputs = {
             "observation": (observation, self.observation_dim),
