@@ -2,7 +2,7 @@
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import ClassVar
+from typing import Any, ClassVar
 
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -84,3 +84,13 @@ class Bonus(nn.Module, ABC):
     @abstractmethod
     def metrics(self) -> dict[str, Tensor]:
         """What to log: a flat dictionary of detached 0-d tensors."""
+
+
+def check_bonus(bonus: Any) -> None:
+    """Reject what is no `Bonus`.
+
+    Raises:
+        TypeError: If it is something else.
+    """
+    if not isinstance(bonus, Bonus):
+        raise TypeError(f"`bonus` must be a Bonus, got {type(bonus).__name__}.")

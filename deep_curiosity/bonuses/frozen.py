@@ -1,9 +1,11 @@
 """A bonus that has learned what it will, as a bonus."""
 
+from copy import deepcopy
+
 from jaxtyping import Float
 from torch import Tensor
 
-from deep_curiosity.bonuses.base import Bonus, Policy
+from deep_curiosity.bonuses.base import Bonus, Policy, check_bonus
 from deep_curiosity.transitions import Transition, check_transition_kind
 
 
@@ -11,12 +13,16 @@ class FrozenBonus(Bonus):
     """Answers as another bonus does now, and never changes: it neither learns nor observes.
 
     Args:
-        bonus: Its networks are frozen for good.
+        bonus: Is copied as it now is, and may learn on.
+
+    Raises:
+        TypeError: If it is no `Bonus`.
     """
 
     def __init__(self, bonus: Bonus) -> None:
         super().__init__()
-        self.bonus = bonus.requires_grad_(False)
+        check_bonus(bonus)
+        self.bonus = deepcopy(bonus).requires_grad_(False)
         self.eval()
         self.scores_outcomes = bonus.scores_outcomes  # type: ignore[misc]  # as the other does
 

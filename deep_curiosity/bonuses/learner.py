@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from deep_curiosity.bonuses.base import Bonus, Policy
+from deep_curiosity.bonuses.base import Bonus, Policy, check_bonus
 from deep_curiosity.nn.networks import Adam
 from deep_curiosity.nn.statistics import Every
 from deep_curiosity.transitions import (
@@ -38,8 +38,7 @@ class BonusLearner(nn.Module):
         self, bonus: Bonus, *, learning_rate: float = 1e-3, update_interval: int = 1
     ) -> None:
         super().__init__()
-        if not isinstance(bonus, Bonus):
-            raise TypeError(f"`bonus` must be a Bonus, got {type(bonus).__name__}.")
+        check_bonus(bonus)
         check_positive(learning_rate=learning_rate)
         if learning_rate > MOST_LEARNING_RATE:
             raise ValueError(

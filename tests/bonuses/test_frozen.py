@@ -54,6 +54,27 @@ def test_the_gradient_in_the_action_is_the_bonus_own():
     torch.testing.assert_close(*gradients)
 
 
+@pytest.mark.parametrize("name", BONUSES)
+def test_it_never_changes_though_the_other_learns_on(name):
+    bonus = shown(name)
+    frozen, learner = FrozenBonus(bonus), BonusLearner(bonus)
+    observation, action, _, next_observation, *_ = batch()
+    expected = frozen(observation, action, next_observation)
+    for _ in range(25):
+        learner.learn(batch())
+    assert frozen(observation, action, next_observation).equal(expected)
+    assert not bonus(observation, action, next_observation).equal(expected)
+
+
+@pytest.mark.parametrize("other", [None, torch.nn.Linear(3, 1)])
+def test_what_is_no_bonus_is_refused_by_name_and_left_as_it_was(other):
+    jaxtyping.config.update("jaxtyping_disable", True)  # whose own error would come first
+    kind = type(other).__name__
+    with pytest.raises(TypeError, match=f"`bonus` must be a Bonus, got {kind}"):
+        FrozenBonus(other)
+    assert other is None or other.weight.requires_grad
+
+
 def test_one_that_has_seen_nothing_is_not_ready():
     assert not FrozenBonus(make_bonus("curiosity", 3, 2, hidden_dims=(8,))).ready
 
