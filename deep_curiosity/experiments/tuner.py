@@ -12,8 +12,8 @@ require("optuna", extra="tune")
 import json
 import math
 import sys
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -36,6 +36,7 @@ from deep_curiosity.experiments.statistics import interquartile_mean
 from deep_curiosity.experiments.tables import output_path, write_table
 from deep_curiosity.training.config import Config
 from deep_curiosity.training.interruption import terminated_like_interrupted
+from deep_curiosity.training.lease import Lease, LeaseError
 from deep_curiosity.training.log import write_json
 
 EVALUATIONS = "evaluations.jsonl"
@@ -81,14 +82,15 @@ def tune(
 
     Raises:
         FileExistsError: If a file at `out` is none that a search has written.
+        LeaseError: If another process searches in `runs`.
         ValueError: If a number is below 1, or `storage` cannot be opened.
     """
     for name, number in (("trials", trials), ("at_once", at_once)):
         if number < 1:
             raise ValueError(f"`{name}` must be at least 1, got {number}.")
     check_out(out)
-    study = open_study(search, runs, storage, pruner)
-    with terminated_like_interrupted(), engine:
+    with terminated_like_interrupted(), engine, _alone(runs):
+        study = open_study(search, runs, storage, pruner)
         while (ended := count_ended(study)) < trials:
             if ended:
                 write_search(study, out)
@@ -99,8 +101,29 @@ def tune(
             run_batch(batch, engine)
             for trial in batch:
                 trial.tell(study)
-    write_search(study, out)
+        write_search(study, out)
     return study
+
+
+@contextmanager
+def _alone(runs: Path) -> Iterator[None]:
+    """Keep other processes from the trials in a folder, which they would take for cut off.
+
+    Raises:
+        LeaseError: If another one is at them.
+    """
+    runs.mkdir(parents=True, exist_ok=True)
+    try:
+        lease = Lease(runs)
+    except LeaseError as error:
+        holder = str(error).partition(", which is ")[2]
+        raise LeaseError(
+            f"`runs` must be searched by one process at a time, got {runs}, which is {holder}"
+        ) from error
+    try:
+        yield
+    finally:
+        lease.release()
 
 
 def open_study(

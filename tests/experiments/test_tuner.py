@@ -19,6 +19,7 @@ from deep_curiosity.experiments.runs import RunStoppedError  # noqa: E402
 from deep_curiosity.experiments.search import Search  # noqa: E402
 from deep_curiosity.experiments.study import Task  # noqa: E402
 from deep_curiosity.training.command_line import parse  # noqa: E402
+from deep_curiosity.training.lease import Lease, LeaseError  # noqa: E402
 
 pytestmark = [
     pytest.mark.slow,
@@ -432,3 +433,15 @@ def test_no_setting_weighs_where_all_scores_are_equal(search, tmp_path):
             )
         )
     assert tuner.importances(study) == {}
+
+
+def test_a_search_that_another_process_is_at_is_left_to_it(search_in, calls, tmp_path):
+    (tmp_path / "runs").mkdir()
+    lease = Lease(tmp_path / "runs")
+    message = r"`runs` must be searched by one process at a time, got .*runs, which is held by pro"
+    with pytest.raises(LeaseError, match=message):
+        search_in(tmp_path, trials=1)
+    assert not calls and not (tmp_path / "runs" / "trials.db").exists()
+    lease.release()
+    assert len(search_in(tmp_path, trials=1).trials) == 1
+    assert not [*(tmp_path / "runs").glob("lease.*")]
