@@ -23,6 +23,7 @@ from urllib.parse import quote
 import numpy as np
 import optuna
 from optuna.trial import TrialState
+from sqlalchemy import URL
 from sqlalchemy.exc import SQLAlchemyError
 
 from deep_curiosity.configuration import flat
@@ -172,7 +173,8 @@ def _claim(study: optuna.Study, search: Search) -> None:
 
 def _url_of(path: Path) -> str:
     """URL of a SQLite file, whatever letters its path has."""
-    return f"sqlite:///file:{quote(str(path))}?uri=true"
+    url = URL.create("sqlite", database=f"file:{quote(str(path))}", query={"uri": "true"})
+    return url.render_as_string()
 
 
 def _open_storage(storage: str) -> optuna.storages.RDBStorage:
