@@ -129,8 +129,10 @@ class RunConfig(Group):
     replay_capacity: int = setting(1_000_000, at_most=10**9)
     """Transitions kept; memory is taken only as they come."""
     exploration: Literal["policy", "gsde", "pink", "ou"] = "policy"
-    """Noise of the actions: the policy's own samples, or noise that is correlated in time: linear
-    in the policy's last hidden layer (gSDE), pink, or an Ornstein-Uhlenbeck process."""
+    """Noise of the curious policy's actions: its own samples, or noise that is correlated in time:
+    linear in its last hidden layer (gSDE), pink, or an Ornstein-Uhlenbeck process. The greedy
+    policy, which by default takes from a quarter to 95 % of the steps (`greedy_share`), always
+    acts by its own samples."""
     log_interval: int = setting(500, at_most=MOST_STEPS)
     """Steps from one row of progress.csv to the next."""
     evaluation_interval: int = setting(2_000, at_most=MOST_STEPS)

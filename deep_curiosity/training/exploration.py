@@ -1,5 +1,6 @@
-"""Exploration noise that is correlated in time, in the place of the policy's own samples.
+"""Exploration noise that is correlated in time, in the place of the curious policy's own samples.
 
+The greedy policy acts by samples of its own all the same.
 All of it has unit variance at every single step, so that the policy's own standard deviation
 holds; what differs is how one step's noise is related to the next one's.
 """
