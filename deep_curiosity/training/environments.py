@@ -1,12 +1,10 @@
 """Environments that the agent can act in: found by id, checked, brought to one form."""
 # ruff: noqa: E402  # what is missing is reported before anything needs it
 
-from deep_curiosity.requirements import require, require_training
+from deep_curiosity.requirements import require_training
 
 require_training()
 
-import difflib
-import importlib
 import math
 import multiprocessing
 import os
@@ -43,6 +41,7 @@ from deep_curiosity.training.wrappers import (
     SyncEnvironments,
     VectorObservation,
 )
+from deep_curiosity_envs.ids import registered_id
 
 GOAL_ENDS_EPISODE = frozenset(
     {"gymnasium.envs.classic_control.continuous_mountain_car:Continuous_MountainCarEnv"}
@@ -52,16 +51,6 @@ MAX_EPISODE_STEPS = 1_000
 """Steps after which an episode is cut off where neither the task nor the user limits it."""
 MAX_ACTION = 1e9
 """Bounds of actions beyond this are no bounds."""
-ROBOTICS_PREFIXES = (
-    "PointMaze_",
-    "AntMaze_",
-    "Adroit",
-    "Fetch",
-    "HandReach",
-    "HandManipulate",
-    "FrankaKitchen",
-)
-"""Names of the tasks of gymnasium-robotics begin so."""
 MADE_BY_FUNCTION = "make_env"
 """The `env_id` of a run whose environments the caller's own function makes."""
 
@@ -462,47 +451,3 @@ def _make_in_worker(config: EnvironmentConfig, source: EnvSpec | MakeEnv) -> gym
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # that process has told of them
         return _make(config, source)
-
-
-def registered_id(env_id: str) -> str:
-    """Id by which gymnasium knows a task of this package or another.
-
-    Raises:
-        ValueError: If it knows none of this name, or the module of `module:Task-v0` is missing.
-        ImportError: If a task is wanted without its extra.
-    """
-    module, _, name = env_id.rpartition(":")
-    if module:
-        _import_tasks(module, env_id)
-    elif name.startswith("dm_control/"):
-        require("shimmy", extra="dmc")
-        with warnings.catch_warnings():  # packages that it imports have filters of their own
-            warnings.filterwarnings("ignore", module="glfw")  # of a display that nobody wants
-            importlib.import_module("shimmy")  # which registers them
-    known = list(gymnasium.registry)
-    for candidate in (name, f"deep_curiosity/{name}", f"deep_curiosity/{name}-v0"):
-        if candidate in known:
-            return candidate
-    if not module and name.startswith(ROBOTICS_PREFIXES):
-        require("gymnasium_robotics", extra="robotics")
-        return registered_id(f"gymnasium_robotics:{name}")
-    nearest = difflib.get_close_matches(name, known, n=3, cutoff=0.4) or known[-3:]
-    choices = ", ".join(f"{module}:{each}" if module else each for each in nearest)
-    own = "" if module else f" Tasks of this package: {', '.join(deep_curiosity_envs.TASK_IDS)}."
-    raise ValueError(f"`env_id` must be a registered id such as {choices}; got {env_id!r}.{own}")
-
-
-def _import_tasks(module: str, env_id: str) -> None:
-    """Import a module, which registers its tasks."""
-    if not all(part.isidentifier() for part in module.split(".")):
-        raise ValueError(
-            "`env_id` must name a module as an import does, such as package.module:Task-v0, "
-            f"got {env_id!r}."
-        )
-    try:
-        importlib.import_module(module)
-    except ModuleNotFoundError as error:
-        raise ValueError(
-            f"`env_id` must name a module that can be imported (is its folder in PYTHONPATH?), "
-            f"got {env_id!r}: {error}."
-        ) from error

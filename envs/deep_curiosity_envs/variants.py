@@ -4,7 +4,10 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium.spaces import Box
+from gymnasium.spaces import Box, Dict, Discrete, MultiBinary, MultiDiscrete, Space, Tuple
+from gymnasium.wrappers import FlattenObservation
+
+from deep_curiosity_envs.ids import registered_id
 
 Step = tuple[Any, float, bool, bool, dict[str, Any]]
 
@@ -15,14 +18,15 @@ class ActionCost(gymnasium.Wrapper):
     """A task whose actions cost reward, so that doing nothing is a local optimum.
 
     Args:
-        env_id: Gymnasium id of the task, whose actions are bounded.
+        env_id: Name of the task, such as the trainer takes, whose actions are bounded.
         action_cost: Reward lost per step at full action: it counts the mean over dimensions of the
             squared action, in units of its bounds.
         render_mode: As for the task.
         **env_kwargs: Further arguments of the task.
 
     Raises:
-        ValueError: If the cost is negative, or the actions of the task have no bounds.
+        ValueError: If the cost is negative, there is no such task, or its actions have no bounds.
+        ImportError: If the task is one of another package that is missing.
     """
 
     def __init__(
@@ -36,7 +40,7 @@ class ActionCost(gymnasium.Wrapper):
             raise ValueError(
                 f"`action_cost` must be finite and not be negative, got {action_cost}."
             )
-        super().__init__(gymnasium.make(env_id, render_mode=render_mode, **env_kwargs))
+        super().__init__(_make(env_id, render_mode, env_kwargs))
         self.action_cost = float(action_cost)
         self._middle, self._half_range = _middle_and_half_range(self.env.action_space)
 
@@ -55,17 +59,20 @@ class NoiseSwitch(gymnasium.Wrapper):
     is positive. What they show is a function of the seed and of the steps taken. Every `info`
     holds `noisy`, whether they flicker.
 
-    Observation: that of the task, and behind it the channels.
+    Observation: that of the task, a dictionary's entries one after the other, and behind it the
+    channels, which make real numbers of whole ones.
 
     Args:
-        env_id: Gymnasium id of the task, whose observations are one array, actions bounded.
+        env_id: Name of the task, such as the trainer takes, whose observations are vectors, and
+            actions real numbers within bounds.
         num_channels: How many there are.
         render_mode: As for the task.
         **env_kwargs: Further arguments of the task.
 
     Raises:
-        ValueError: If there is no channel, observations are not one flat array, or the actions of
-            the task have no bounds.
+        ValueError: If there is no channel, there is no such task, its observations are no
+            vectors, or its actions have no bounds or are whole numbers.
+        ImportError: If the task is one of another package that is missing.
     """
 
     def __init__(
@@ -77,11 +84,11 @@ class NoiseSwitch(gymnasium.Wrapper):
     ) -> None:
         if num_channels < 1:
             raise ValueError(f"`num_channels` must be at least 1, got {num_channels}.")
-        super().__init__(gymnasium.make(env_id, render_mode=render_mode, **env_kwargs))
+        super().__init__(_flattened(_make(env_id, render_mode, env_kwargs)))
         own, actions = self.env.observation_space, self.env.action_space
-        if not (isinstance(own, Box) and len(own.shape) == 1):
-            raise ValueError(f"`env_id` must have observations of one flat array, got {own}.")
         _middle_and_half_range(actions)
+        if not np.issubdtype(actions.dtype, np.floating):
+            raise ValueError(f"`env_id` must have actions of real numbers, got {actions}.")
         self.num_channels = num_channels
         self.observation_space = _extended(own, num_channels)
         self.action_space = _extended(actions, 1)
@@ -109,15 +116,49 @@ class NoiseSwitch(gymnasium.Wrapper):
         return np.concatenate([observation, channels]).astype(self.observation_space.dtype)
 
 
-def _extended(space: gymnasium.Space, num_entries: int) -> Box:
-    """The space with entries in [-1, 1] behind its own."""
+def _make(env_id: str, render_mode: str | None, env_kwargs: dict[str, Any]) -> gymnasium.Env:
+    """The task; one that has no render mode is asked for none."""
+    if render_mode is not None:
+        env_kwargs = env_kwargs | {"render_mode": render_mode}
+    return gymnasium.make(registered_id(env_id), **env_kwargs)
+
+
+def _flattened(task: gymnasium.Env) -> gymnasium.Env:
+    """The task with observations of one vector.
+
+    Raises:
+        ValueError: If they are of another shape.
+    """
+    space = task.observation_space
+    if isinstance(space, Dict | Tuple) and _is_of_vectors(space):
+        task = FlattenObservation(task)
+    elif not (isinstance(space, Box) and len(space.shape) == 1):
+        raise ValueError(
+            f"`env_id` must have observations of one flat array, or vectors by name, got {space}."
+        )
+    return task
+
+
+def _is_of_vectors(space: Space) -> bool:
+    """Whether a space is of numbers and vectors, by name or in their order."""
+    if isinstance(space, Dict | Tuple):
+        entries = space.values() if isinstance(space, Dict) else space
+        return all(map(_is_of_vectors, entries))
+    if isinstance(space, Box | MultiBinary):
+        return len(space.shape) <= 1
+    return isinstance(space, Discrete | MultiDiscrete)
+
+
+def _extended(space: Space, num_entries: int) -> Box:
+    """The space with entries in [-1, 1] behind its own, all of them real numbers."""
     assert isinstance(space, Box)
+    dtype = space.dtype if space.dtype.kind == "f" else np.result_type(space.dtype, np.float32)
     ones = np.ones(num_entries)
     low, high = np.concatenate([space.low, -ones]), np.concatenate([space.high, ones])
-    return Box(low.astype(space.dtype), high.astype(space.dtype), dtype=space.dtype.type)
+    return Box(low.astype(dtype), high.astype(dtype), dtype=dtype.type)
 
 
-def _middle_and_half_range(space: gymnasium.Space) -> tuple[np.ndarray, np.ndarray]:
+def _middle_and_half_range(space: Space) -> tuple[np.ndarray, np.ndarray]:
     """Centre and half width of the actions in every dimension."""
     if not (isinstance(space, Box) and space.is_bounded()):
         raise ValueError(f"`env_id` must have actions in a bounded box, got {space}.")

@@ -10,6 +10,26 @@ PENDULUM = "Pendulum-v1"  # torque within [-2, 2]
 CAR = "MountainCarContinuous-v0"
 
 
+class Images(gymnasium.Env):
+    """Shows an image beside a vector."""
+
+    action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,))
+    observation_space = gymnasium.spaces.Dict(
+        image=gymnasium.spaces.Box(0, 255, (4, 4), np.uint8), place=action_space
+    )
+
+
+class WholeActions(gymnasium.Env):
+    """Takes whole numbers."""
+
+    action_space = gymnasium.spaces.Box(-1, 1, (1,), np.int8)
+    observation_space = gymnasium.spaces.Box(-1.0, 1.0, (1,))
+
+
+for task in (Images, WholeActions):
+    gymnasium.register(f"variants/{task.__name__}-v0", task)
+
+
 def rollout(env, actions, seed=0):
     """Observations of an episode."""
     return np.array([env.reset(seed=seed)[0], *(env.step(action)[0] for action in actions)])
@@ -63,9 +83,6 @@ def test_noise_says_nothing_of_what_the_task_draws():
 
         action_space = observation_space = gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float64)
 
-        def __init__(self, render_mode=None):
-            pass
-
         def reset(self, *, seed=None, options=None):
             super().reset(seed=seed)
             return self.np_random.uniform(-1, 1, 1), {}
@@ -89,11 +106,78 @@ def test_noise_says_nothing_of_what_the_task_draws():
             lambda: NoiseSwitch("FrozenLake-v1"),
             "`env_id` must have observations of one flat array",
         ),
+        (
+            lambda: NoiseSwitch("variants/Images-v0"),
+            r"`env_id` must have observations of one flat array.*got Dict\('image': Box",
+        ),
+        (
+            lambda: NoiseSwitch("variants/WholeActions-v0"),
+            r"`env_id` must have actions of real numbers, got Box\(-1, 1, \(1,\), int8\)",
+        ),
     ],
 )
 def test_tasks_that_cannot_be_changed_so_are_refused(make, rule):
     with pytest.raises(ValueError, match=rule):
         make()
+
+
+class Counter(gymnasium.Env):
+    """Counts its steps in whole numbers; it is never drawn."""
+
+    action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,))
+
+    def __init__(self, kind="uint8"):
+        low, high = (0, 255) if kind == "uint8" else (-9, 9)
+        self.observation_space = gymnasium.spaces.Box(low, high, (1,), np.dtype(kind).type)
+
+    def reset(self, *, seed=None, options=None):
+        self.steps = np.zeros(1, self.observation_space.dtype)
+        return self.steps.copy(), {}
+
+    def step(self, action):
+        self.steps += 1
+        return self.steps.copy(), 0.0, False, False, {}
+
+
+@pytest.mark.parametrize("kind", ["uint8", "int64", "float16", "float64"])
+def test_channels_are_real_numbers_where_observations_are_whole(kind):
+    gymnasium.register("variants/Counter-v0", Counter)
+    env = NoiseSwitch("variants/Counter-v0", kind=kind)
+    shown = rollout(env, np.ones((3, 2), np.float32))
+    assert shown[:, 0].tolist() == [0, 1, 2, 3]
+    assert (shown[1:, 1:] % 1 != 0).all()
+    assert env.observation_space.contains(env.step(np.ones(2, np.float32))[0])
+    assert env.observation_space.dtype.kind == "f"
+    gymnasium.registry.pop("variants/Counter-v0")
+
+
+@pytest.mark.parametrize("variant", [ActionCost, NoiseSwitch])
+@pytest.mark.parametrize(
+    "env_id",
+    [
+        "CleverRandom",  # which has no render mode
+        "PendulumSwingup",
+        "deep_curiosity_envs:deep_curiosity/PointMaze-v0",
+        "dm_control/pendulum-swingup-v0",
+        "PointMaze_UMaze-v3",
+    ],
+)
+def test_any_name_of_a_task_that_the_trainer_takes_is_taken(variant, env_id):
+    for prefix, package in (("dm_control", "shimmy"), ("PointMaze_", "gymnasium_robotics")):
+        if env_id.startswith(prefix):
+            pytest.importorskip(package)
+    env = variant(env_id)
+    env.reset(seed=0)
+    observation = env.step(np.ones(env.action_space.shape, env.action_space.dtype))[0]
+    assert env.observation_space.contains(observation)
+
+
+@pytest.mark.parametrize("variant", [ActionCost, NoiseSwitch])
+def test_what_is_wrong_with_a_name_is_told_of_the_name(variant):
+    with pytest.raises(ValueError, match=r"`env_id` must be a registered id .* 'Pendulum-v2'"):
+        variant("Pendulum-v2")
+    with pytest.raises(ValueError, match=r"`env_id` must name a module .* 'nowhere:Task-v0'"):
+        variant("nowhere:Task-v0")
 
 
 @pytest.mark.parametrize("variant_id", deep_curiosity_envs.VARIANT_IDS)
