@@ -224,6 +224,17 @@ def check_action(action: Array, shape: tuple[int, ...]) -> Array64:
     return np.minimum(np.maximum(control, -1.0), 1.0)
 
 
+def check_flag(name: str, value: Any) -> bool:
+    """An argument that is true or false.
+
+    Raises:
+        ValueError: If it is neither, as text is.
+    """
+    if not (isinstance(value, int | float | np.generic) and value in (0, 1)):
+        raise ValueError(f"`{name}` must be True or False, got {value!r}.")
+    return bool(value)
+
+
 def _as_scalars(info: dict[str, Array]) -> dict[str, Any]:
     return {name: value.item() for name, value in info.items()}
 

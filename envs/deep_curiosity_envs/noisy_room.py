@@ -7,7 +7,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from deep_curiosity_envs.mujoco_task import Array, Array64, load_spec
+from deep_curiosity_envs.mujoco_task import Array, Array64, check_flag, load_spec
 from deep_curiosity_envs.point_room import CELL_SIZE, CELLS_PER_SIDE, HALF_ROOM, PointRoom
 from deep_curiosity_envs.vector import MujocoVectorEnv
 
@@ -50,6 +50,9 @@ class NoisyRoom(PointRoom):
             action switches it on, wherever the point is, for every step that it is positive.
         action_cost: Reward lost per step at full action.
         render_mode: `"rgb_array"` or None.
+
+    Raises:
+        ValueError: If `switch` is neither true nor false.
     """
 
     noisy_share: ClassVar[float] = NOISY_CELLS_PER_SIDE**2 / CELLS_PER_SIDE**2
@@ -61,13 +64,13 @@ class NoisyRoom(PointRoom):
         action_cost: float = 0.0,
         render_mode: str | None = None,
     ) -> None:
+        self.switch = check_flag("switch", switch)
         super().__init__(
-            noisy_room_spec(bool(switch)),
+            noisy_room_spec(self.switch),
             extra_bound=(1.0,) * NUM_CHANNELS,
             action_cost=action_cost,
             render_mode=render_mode,
         )
-        self.switch = bool(switch)
 
     @property
     def noisy(self) -> Array:

@@ -8,7 +8,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from deep_curiosity_envs.mujoco_task import Array, Array64, MujocoTask, load_spec
+from deep_curiosity_envs.mujoco_task import Array, Array64, MujocoTask, check_flag, load_spec
 from deep_curiosity_envs.vector import MujocoVectorEnv
 
 # Seen from above: S is the start, G the goal, # a wall.
@@ -117,6 +117,9 @@ class PointMaze(MujocoTask):
         action_cost: Reward lost per step at full force on both axes.
         goal_terminates: Whether the goal ends the episode, so that it pays only once.
         render_mode: `"rgb_array"` or None.
+
+    Raises:
+        ValueError: If `goal_terminates` is neither true nor false.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (Gymnasium declares it on the instance)
@@ -139,7 +142,7 @@ class PointMaze(MujocoTask):
             action_cost=action_cost,
             render_mode=render_mode,
         )
-        self.goal_terminates = bool(goal_terminates)
+        self.goal_terminates = check_flag("goal_terminates", goal_terminates)
 
     @property
     def position(self) -> Array64:
