@@ -1,7 +1,7 @@
 """Replay: one preallocated tensor, its rows views of raw transitions."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,9 +11,11 @@ from torch import Tensor
 
 from deep_curiosity.requirements import require
 from deep_curiosity.transitions import (
+    MOST,
     Sequences,
     Transition,
     check_counts,
+    check_scalars,
     check_single_steps,
     is_whole_number,
 )
@@ -385,24 +387,37 @@ class ReplayBuffer:
         """Restore what `state_dict` gave, into a buffer of the same sizes.
 
         Raises:
-            ValueError: If the rows do not fit this buffer.
+            TypeError: If an entry has the wrong kind; nothing is then restored.
+            ValueError: If an entry is missing or does not fit the others, or this buffer; nothing
+                is then restored.
         """
-        rows = state["rows"]
-        if rows.shape[1:] != self._rows.shape[1:] or rows.shape[0] != min(
-            state["num_added"], self.capacity
-        ):
+        _check_state(state, "rows", "bonus", "num_added", "generator")
+        rows, bonus, num_added = state["rows"], state["bonus"], state["num_added"]
+        # an older state does not say: what it held was taken then
+        num_taken = state.get("num_taken", num_added)
+        if rows.shape != (min(num_added, self.capacity), self._rows.shape[1]):
             raise ValueError(
                 f"`rows` must fit a buffer of shape {tuple(self._rows.shape)} after "
-                f"{state['num_added']} additions, got {tuple(rows.shape)}."
+                f"{num_added} additions, got {tuple(rows.shape)}."
             )
-        self._rows[: rows.shape[0]] = rows
-        self.bonus[: rows.shape[0]] = state["bonus"]
-        self._num_added = state["num_added"]
-        # an older state does not say: what it held was taken then
-        self._num_taken = state.get("num_taken", self._num_added)
+        check_scalars("bonus", bonus, torch.float32)
+        if len(bonus) != len(rows):
+            raise ValueError(
+                f"`bonus` must have one number for each of {len(rows)} rows, got {len(bonus)}."
+            )
+        _check_number_of("num_taken", num_taken, num_added)
+        try:
+            self._generator.set_state(state["generator"])
+        except (RuntimeError, TypeError):
+            raise ValueError(
+                f"`generator` must be the state of one on {self._generator.device}, "
+                f"got {state['generator']!r}."
+            ) from None
+        self._rows[: len(rows)] = rows
+        self.bonus[: len(rows)] = bonus
+        self._num_added, self._num_taken = num_added, num_taken
         self._last = None
         self._num_searched = 0
-        self._generator.set_state(state["generator"])
 
     def take_over(self, state: dict[str, Any]) -> None:
         """Begin with the newest transitions of another buffer, as many as there is room for.
@@ -414,12 +429,14 @@ class ReplayBuffer:
             state: Of a buffer with transitions of the same sizes, from as many environments.
 
         Raises:
-            ValueError: If the rows have other sizes.
+            TypeError: If an entry has the wrong kind.
+            ValueError: If an entry is missing, or the rows have other sizes.
         """
+        _check_state(state, "rows", "num_added")
         rows = state["rows"]
         if rows.shape[1:] != self._rows.shape[1:]:
             raise ValueError(
-                f"`rows` must have {self._rows.shape[1]} entries, got {rows.shape[1]}."
+                f"`rows` must have {self._rows.shape[1]} entries, got {rows.shape[1:].numel()}."
             )
         split = state["num_added"] % max(1, len(rows))
         rows = torch.cat([rows[split:], rows[:split]])  # oldest first
@@ -522,6 +539,29 @@ class ReplayBuffer:
     def _transition(self, rows: Float[Tensor, "batch row"]) -> Transition:
         alive = torch.ones(1, len(rows), dtype=torch.bool, device=rows.device)
         return self.sequences(rows, alive).steps
+
+
+def _check_state(state: Any, *names: str) -> None:
+    """Reject what is no state of a buffer, or one without the entries of some names."""
+    if not isinstance(state, Mapping):
+        kind = type(state).__name__
+        raise TypeError(f"`state` must be a dictionary as `state_dict` gives it, got {kind}.")
+    missing = [name for name in names if name not in state]
+    if missing:
+        raise ValueError(
+            f"`state` must hold {', '.join(names)}, got one without {', '.join(missing)}."
+        )
+    rows = state["rows"]
+    if not isinstance(rows, Tensor) or rows.dtype != torch.float32:
+        dtype = getattr(rows, "dtype", type(rows).__name__)
+        raise TypeError(f"`rows` must be a tensor of torch.float32, got {dtype}.")
+    _check_number_of("num_added", state["num_added"], MOST)
+
+
+def _check_number_of(name: str, number: Any, most: int) -> None:
+    """Reject what is no whole number from 0 to the most."""
+    if not is_whole_number(number) or not 0 <= number <= most:
+        raise ValueError(f"`{name}` must be a whole number from 0 to {most}, got {number!r}.")
 
 
 def _as_vector(name: str, value: Vector, dim: int) -> np.ndarray:

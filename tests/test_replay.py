@@ -1,6 +1,7 @@
 import math
 from pathlib import Path
 
+import jaxtyping
 import numpy as np
 import pytest
 import torch
@@ -125,6 +126,51 @@ def test_saved_state_stays_as_it_was_saved():
     restored = ReplayBuffer(8, 3, 2)
     restored.load_state_dict(state)
     assert numbers(restored.all()) == [0, 1, 2]
+
+
+BAD_STATES = [
+    ("generator", torch.zeros(3), ValueError, "`generator` must be the state of one on cpu, got"),
+    ("generator", torch.zeros(3).byte(), ValueError, "`generator` must be the state of one on"),
+    ("generator", None, ValueError, "`generator` must be the state of one on cpu, got None"),
+    (
+        "bonus",
+        torch.zeros(9),
+        ValueError,
+        "`bonus` must have one number for each of 3 rows, got 9",
+    ),
+    ("bonus", None, TypeError, "`bonus` must be a tensor of torch.float32, got NoneType"),
+    ("rows", torch.zeros(2, 11), ValueError, "`rows` must fit .* after 3 additions, got"),
+    ("rows", torch.zeros(3), ValueError, r"`rows` must fit .* after 3 additions, got \(3,\)"),
+    ("rows", [[0.0] * 11] * 3, TypeError, "`rows` must be a tensor of torch.float32, got list"),
+    ("num_added", 3.0, ValueError, "`num_added` must be a whole number from 0 to .*, got 3.0"),
+    ("num_taken", 4, ValueError, "`num_taken` must be a whole number from 0 to 3, got 4"),
+]
+
+
+@pytest.mark.parametrize(("name", "value", "error", "message"), BAD_STATES)
+def test_a_state_that_is_refused_changes_nothing(name, value, error, message):
+    replay, state = filled(6), filled(3).state_dict()
+    replay.bonus[:] = torch.arange(8.0)
+    before = replay.state_dict()
+    with pytest.raises(error, match=message):
+        replay.load_state_dict(state | {name: value})
+    after = replay.state_dict()
+    for part, held in before.items():
+        assert held.equal(after[part]) if isinstance(held, torch.Tensor) else held == after[part]
+
+
+@pytest.mark.parametrize("restore", ["load_state_dict", "take_over"])
+def test_a_state_that_lacks_something_is_refused_by_its_name(restore):
+    jaxtyping.config.update("jaxtyping_disable", True)  # whose own error would come first
+    replay, state = filled(6), filled(3).state_dict()
+    for bad in ({}, {"rows": state["rows"]}):
+        with pytest.raises(ValueError, match=r"`state` must hold rows, .* without .*num_added"):
+            getattr(replay, restore)(bad)
+    with pytest.raises(TypeError, match=r"`state` must be a dictionary .*, got NoneType"):
+        getattr(replay, restore)(None)
+    with pytest.raises(ValueError, match="`rows` must"):
+        getattr(replay, restore)(state | {"rows": torch.zeros(3)})
+    assert numbers(replay.all()) == list(range(6))
 
 
 def test_state_of_a_replay_of_other_sizes_is_rejected():
