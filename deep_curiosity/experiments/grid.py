@@ -159,18 +159,24 @@ def run_study(
     if engine is None:
         engine = LocalEngine(workers) if executor is None else ExecutorEngine(executor)
     records = Records(study, cells, out)
-    with terminated_like_interrupted(), engine, Progress(cells) as progress:
-        execution = Execution(engine, [*map(_job, cells)], progress.step_of)
+    with terminated_like_interrupted():
         try:
-            for ended in execution:
-                if ended is not None:
-                    records.add(*ended)
-                    progress.end(ended.number)
-                progress.show(execution.running, records.num_failed)
-                records.write_some()
+            _run_all(cells, engine, records)
         finally:
-            records.write()
+            records.write()  # takes its time, in which nothing runs any more
     return records.num_failed
+
+
+def _run_all(cells: Sequence[Cell], engine: Engine, records: "Records") -> None:
+    """Run every cell and note how it ended; the engine is closed, however that goes."""
+    with engine, Progress(cells) as progress:
+        execution = Execution(engine, [*map(_job, cells)], progress.step_of)
+        for ended in execution:
+            if ended is not None:
+                records.add(*ended)
+                progress.end(ended.number)
+            progress.show(execution.running, records.num_failed)
+            records.write_some()
 
 
 def _job(cell: Cell) -> Job:

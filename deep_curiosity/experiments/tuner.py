@@ -90,7 +90,7 @@ def tune(
         if number < 1:
             raise ValueError(f"`{name}` must be at least 1, got {number}.")
     check_out(out)
-    with terminated_like_interrupted(), engine, _alone(runs):
+    with terminated_like_interrupted(), _alone(runs), engine:
         study = open_study(search, runs, storage, pruner)
         while (ended := count_ended(study)) < trials:
             if ended:

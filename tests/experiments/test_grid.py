@@ -10,7 +10,7 @@ import pytest
 from deep_curiosity import __version__
 from deep_curiosity.experiments import grid, runs
 from deep_curiosity.experiments.engines.base import Outcome
-from deep_curiosity.experiments.engines.local import LocalEngine
+from deep_curiosity.experiments.engines.local import ExecutorEngine, LocalEngine
 from deep_curiosity.experiments.grid import (
     Records,
     cells_of,
@@ -394,6 +394,19 @@ def test_the_summary_of_a_study_that_is_not_at_its_end_says_so(quick_study, tmp_
     records.add(3, Outcome(measured(cells[2])))
     records.write()
     assert "so far" not in (tmp_path / "out.md").read_text()
+
+
+def test_what_runs_is_told_to_stop_before_the_summary_is_made(quick_study, tmp_path):
+    class NotingEngine(ExecutorEngine):
+        def close(self):
+            assert not (tmp_path / "out.md").exists()
+            (tmp_path / "closed").touch()
+            super().close()
+
+    with ThreadPoolExecutor(1) as executor:
+        engine = NotingEngine(executor)
+        run_study(quick_study, runs=tmp_path / "runs", out=tmp_path / "out", engine=engine)
+    assert (tmp_path / "closed").exists() and (tmp_path / "out.md").exists()
 
 
 def test_the_summary_is_there_where_a_figure_cannot_be_drawn(quick_study, tmp_path, monkeypatch):

@@ -60,7 +60,9 @@ class LocalEngine(Engine):
         """Tell the workers to stop, and wait until what they do is saved."""
         self._threads.shutdown(wait=False, cancel_futures=True)
         for worker in self._all:
-            worker.stop()
+            worker.stop()  # all of them, before any is waited for
+        for worker in self._all:
+            worker.wait()
         self._threads.shutdown()
 
 
@@ -82,8 +84,7 @@ class _Worker:
             CancelledError: If the worker was told to stop before.
         """
         try:
-            pool, self._busy = self._started(), True
-            return pool.submit(job.run).result()
+            return self._begin(self._started(), job).result()
         except BrokenExecutor:
             self._pool = None
             raise
@@ -100,16 +101,25 @@ class _Worker:
         self._pid = pool.submit(os.getpid).result()  # takes seconds, in which it may be stopped
         return pool
 
-    def stop(self) -> None:
-        """Tell the process to stop, which a run does after its present step, and wait for it."""
+    def _begin(self, pool: ProcessPoolExecutor, job: Job) -> Future[Outcome]:
         with self._lock:
-            self._stopped, pool = True, self._pool
-        if pool is None:
-            return
-        if self._busy:
-            with suppress(ProcessLookupError):
-                os.kill(self._pid, signal.SIGTERM)
-        pool.shutdown(cancel_futures=True)
+            if self._stopped:
+                raise CancelledError
+            self._busy = True
+            return pool.submit(job.run)
+
+    def stop(self) -> None:
+        """Tell the process to stop, which a run does after its present step."""
+        with self._lock:
+            self._stopped = True
+            if self._busy:
+                with suppress(ProcessLookupError):
+                    os.kill(self._pid, signal.SIGTERM)
+
+    def wait(self) -> None:
+        """Wait until the process, which was told to stop, has ended."""
+        if (pool := self._pool) is not None:
+            pool.shutdown(cancel_futures=True)
 
 
 class ExecutorEngine(Engine):

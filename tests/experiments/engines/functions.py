@@ -56,6 +56,21 @@ def wait_until_told(folder: Path) -> str:
     return "saved"
 
 
+def meet_once_told(folder: Path, name: str, other: str) -> bool:
+    """Wait for SIGTERM, and then for another process that is told as well; whether it was."""
+    told: list[int] = []
+    signal.signal(signal.SIGTERM, lambda signum, frame: told.append(signum))
+    (folder / f"{name} begun").touch()
+    while not told:
+        time.sleep(0.05)
+    (folder / name).touch()
+    for _ in range(200):
+        if (folder / other).exists():
+            return True
+        time.sleep(0.05)
+    return False
+
+
 def wait_until_interrupted() -> str:
     """Wait for a request to stop, as a run does."""
     with catch_interruption() as interruption:

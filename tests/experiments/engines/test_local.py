@@ -50,6 +50,16 @@ def test_what_runs_is_told_to_stop_and_what_waits_is_forgotten(tmp_path):
     assert waiting.cancelled()
 
 
+def test_all_that_runs_is_told_to_stop_before_any_is_waited_for(tmp_path):
+    names = [("a", "b"), ("b", "a")]
+    with LocalEngine(2) as engine:
+        futures = engine.submit(
+            [make_job(functions.meet_once_told, tmp_path, *each) for each in names]
+        )
+        wait_until(lambda: len([*tmp_path.glob("* begun")]) == 2)
+    assert [future.result().result for future in futures] == [True, True]
+
+
 def test_any_executor_is_an_engine_and_stays_open():
     with ThreadPoolExecutor(1) as executor:
         engine = ExecutorEngine(executor)
