@@ -43,7 +43,8 @@ class Args(Group):
     """Of an agent that is conditioned on it: one or several to play with, from 0, purely curious,
     to 1, purely greedy."""
     video: Path | None = None
-    """File for a video of the first episode, at the last hunger, .mp4 or .gif; needs MUJOCO_GL=egl
+    """File for a video of the first episode, at the last hunger, .mp4 or .gif, at the pace of the
+    task, a frame for every action; needs MUJOCO_GL=egl
     or osmesa on a machine without a screen."""
 
     def __post_init__(self) -> None:
@@ -71,7 +72,8 @@ def main(arguments: Sequence[str]) -> int:
         print(f"{config.environment.env_id}{at}: {describe_returns(episodes)}")
     if screen is not None and args.video is not None:
         frames = record_episode(act, screen, seed=args.seed, usual_observation=usual)
-        write_video(args.video, frames, fps=screen.metadata.get("render_fps", 30))
+        fps = screen.metadata.get("render_fps", 30) / config.environment.action_repeat
+        write_video(args.video, frames, fps=fps)
         print(f"video of {len(frames)} frames in {args.video}")
     return 0
 

@@ -105,6 +105,24 @@ def test_a_task_that_cannot_be_filmed_is_refused_before_it_is_played(
     assert main(["evaluate", str(tiny.run.out), "--episodes", "1"]) == 0
 
 
+class Flickers(Blank):
+    """One that is drawn, twenty frames a second."""
+
+    metadata: ClassVar = {"render_modes": ["rgb_array"], "render_fps": 20}
+
+    def render(self):
+        return np.full((16, 16, 3), 64 * (Unseen.num_steps // 4 % 4), np.uint8)
+
+
+def test_a_video_of_held_actions_keeps_the_pace_of_the_task(tiny, tmp_path):
+    gymnasium.register("evaluate/Flickers-v0", Flickers)
+    config = tiny.override(env_id="evaluate/Flickers-v0", env_kwargs={}, action_repeat=4)
+    train(config, show_progress=False)
+    video = tmp_path / "film.gif"
+    assert main(["evaluate", str(tiny.run.out), "--episodes", "1", "--video", str(video)]) == 0
+    assert imageio.get_reader(video).get_meta_data()["duration"] == 200  # ms, of four steps
+
+
 def test_a_missing_video_package_is_asked_for_by_name(tmp_path, monkeypatch, refusal):
     monkeypatch.setitem(sys.modules, "imageio", None)
     for command in (["evaluate", tmp_path], ["demo"]):
