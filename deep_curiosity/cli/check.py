@@ -18,7 +18,7 @@ from deep_curiosity.integrations.check.experiments import check_integration
 from deep_curiosity.integrations.check.profile import Profile, profile
 from deep_curiosity.integrations.trainer import LearnerIntegration
 from deep_curiosity.training.config import Config
-from deep_curiosity.training.environments import make_environment
+from deep_curiosity.training.environments import make_environment, task_actions
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def main(arguments: Sequence[str]) -> int:
     )
     environment = make_environment(config.environment)
     found = profile(environment, num_steps=args.num_steps, seed=args.seed)
-    print(describe(found, environment.unwrapped.action_space))
+    print(describe(found, task_actions(environment)))
     environment.close()
     agent = LearnerIntegration(config)
     report = check_integration(agent, num_steps=args.num_steps, seed=args.seed)

@@ -403,16 +403,32 @@ def action_dim(environment: gymnasium.Env) -> int:
     return int(np.prod(environment.action_space.shape or ()))
 
 
-def task_spaces(environment: gymnasium.Env) -> TaskSpaces:
-    """Spaces of the task below the wrappers of an environment made here."""
+def task_actions(environment: gymnasium.Env) -> spaces.Box:
+    """Actions of the task below the wrappers of an environment made here."""
+    actions = _rescaled(_layers(environment)).env.action_space
+    assert isinstance(actions, spaces.Box)
+    return actions
+
+
+def _rescaled(layers: Iterable[gymnasium.Env]) -> RescaleAction:
+    (rescaled,) = (each for each in layers if isinstance(each, RescaleAction))
+    return rescaled
+
+
+def _layers(environment: gymnasium.Env) -> list[gymnasium.Env]:
+    """Wrappers of an environment made here, from the outermost to the task's own."""
     layers = [environment]
     while not isinstance(layers[-1], PlainSteps):  # what is below is the task's own
         assert isinstance(layers[-1], gymnasium.Wrapper)
         layers.append(layers[-1].env)
-    (rescaled,) = (each for each in layers if isinstance(each, RescaleAction))
+    return layers
+
+
+def task_spaces(environment: gymnasium.Env) -> TaskSpaces:
+    """Spaces of the task below the wrappers of an environment made here."""
+    layers = _layers(environment)
+    rescaled, actions = _rescaled(layers), task_actions(environment)
     flattened = [each for each in layers if isinstance(each, FlattenObservation)]
-    actions = rescaled.env.action_space
-    assert isinstance(actions, spaces.Box)
     return TaskSpaces(
         observation_dim(rescaled),
         tuple(actions.low.tolist()),

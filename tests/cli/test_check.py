@@ -3,6 +3,11 @@ import sys
 
 import pytest
 
+from deep_curiosity.cli.check import describe
+from deep_curiosity.integrations.check.profile import profile
+from deep_curiosity.training.config import EnvironmentConfig
+from deep_curiosity.training.environments import make_environment, task_actions
+
 
 def check(*arguments):
     return subprocess.run(
@@ -18,6 +23,12 @@ def test_a_task_is_profiled_and_the_bonus_checked():
     assert done.returncode == 0, done.stderr
     for word in ("excess kurtosis", "targets", "floor_share", "noise floor makes"):
         assert word in done.stdout
+
+
+def test_the_actions_of_a_task_are_those_that_the_agent_acts_in():
+    environment = make_environment(EnvironmentConfig("NoiseSwitch", {"env_id": "Pendulum-v1"}))
+    shown = describe(profile(environment, num_steps=2), task_actions(environment))
+    assert shown.startswith("Actions: Box([-2. -1.], [2. 1.], (2,), float32), given in [-1, 1]")
 
 
 @pytest.mark.slow
