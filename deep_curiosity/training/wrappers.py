@@ -61,16 +61,17 @@ class PlainSteps(gymnasium.Wrapper):
 
         Raises:
             ValueError: If the task does not take an action, or does not return observation,
-                reward, two flags and info.
+                reward, two flags that are true or false, and info.
         """
         names = ("observation", "reward", "terminated", "truncated", "info")
         observation, *values, info = _unpacked("step", names, self._step(action))
-        reward, terminated, truncated = map(_one_number, names[1:4], values)
+        reward = _one_number("reward", values[0])
+        terminated, truncated = map(_flag, names[2:4], values[1:])
         info = _with_success(info)
         if self.termination_is_success:
-            info["is_success"] = bool(terminated)
+            info["is_success"] = terminated
         succeeded = self.terminate_on_success and info.get("is_success", False)
-        return observation, reward, bool(terminated) or succeeded, bool(truncated), info
+        return observation, reward, terminated or succeeded, truncated, info
 
     def close(self) -> None:
         """Close the task; one that raises undoes nothing of what was done in it."""
@@ -262,6 +263,14 @@ def _one_number(name: str, value: Any) -> float:
     if array.size != 1 or array.dtype.kind not in "fbiu":
         raise ValueError(f"`{name}` must be one number, got {value!r}.")
     return float(array.item())
+
+
+def _flag(name: str, value: Any) -> bool:
+    """A number that is true or false."""
+    number = _one_number(name, value)
+    if number not in (0.0, 1.0):
+        raise ValueError(f"`{name}` must be True or False, got {value!r}.")
+    return bool(number)
 
 
 def _with_success(info: Any) -> dict[str, Any]:

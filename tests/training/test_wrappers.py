@@ -78,6 +78,13 @@ def test_what_is_no_number_is_named(name, value):
         step(**{name: value})
 
 
+@pytest.mark.parametrize("name", ["terminated", "truncated"])
+@pytest.mark.parametrize("value", [np.nan, 0.5, 2, -1, np.array([0.5])], ids=repr)
+def test_a_flag_that_is_neither_true_nor_false_is_named(name, value):
+    with pytest.raises(ValueError, match=rf"`{name}` must be True or False, got "):
+        step(**{name: value})
+
+
 @pytest.mark.parametrize(
     ("returned", "got"),
     [((0, 1.0, False, {}), "4 values"), ((0, 1.0), "2 values"), (None, "NoneType")],
