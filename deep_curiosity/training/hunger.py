@@ -28,8 +28,9 @@ BANDIT_EXPLORATION = 0.5  # weight of what is not known of an arm, in units of t
 
 HungerFunction = Callable[[np.ndarray, Info], float | Sequence[float] | np.ndarray]
 """Observations `(num_envs, observation_dim)`, and the info that came with them, to hunger: one
-number or `(num_envs,)`. What an environment does not tell while others do is NaN among real
-numbers, False among flags and `None` among all else; an entry `_name` says who tells `name`."""
+number or `(num_envs,)`, of which an agent that is not conditioned on its hunger has the mean. What
+an environment does not tell while others do is NaN among real numbers, False among flags and
+`None` among all else; an entry `_name` says who tells `name`."""
 
 
 class HungerController(abc.ABC):

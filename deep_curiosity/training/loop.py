@@ -48,7 +48,8 @@ def train(
         hunger: Says how hungry the agent is before every step, in training as in evaluations: from
             the observations, `(num_envs, observation_dim)`, and the `info` that came with them, to
             one number, or one for each environment; in [0, 1] where the agent is conditioned on
-            its hunger. A resumed run must be given it again.
+            its hunger. An agent that is not conditioned has one hunger at a time, the mean of
+            those of its environments. A resumed run must be given it again.
         make_env: Makes an environment of the caller's own, anew at every call, in the place of
             `env_id`. A resumed run must be given it again.
         new_episode: Resume with the next episode, and count the one in progress as cut off by the
