@@ -22,6 +22,7 @@ from deep_curiosity.training.hunger import HungerFunction
 from deep_curiosity.training.interruption import Interrupted, catch_interruption
 from deep_curiosity.training.log import read_config
 from deep_curiosity.training.run import Run, open_run
+from deep_curiosity.training.wrappers import with_crossed_cells
 
 
 def train(
@@ -133,7 +134,7 @@ def _take_step(run: Run) -> None:
             learner.before_step(run_log.step, observation, collector.present_info)
         run.action = learner.act(observation, explore_uniformly=uniform)
     finished = run.collect()
-    run_log.on_step(collector.info)
+    run_log.on_step(with_crossed_cells(collector.info))
     for episode in finished:
         run_log.episodes.append(episode)
         run.log.scalars(run_log.step, _scalars_of(episode))

@@ -15,10 +15,13 @@ from gymnasium import spaces
 from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv, VectorEnv
 
 from deep_curiosity.training.failure import RAISED
-from deep_curiosity.training.infos import joined
+from deep_curiosity.training.infos import is_told, joined
+from deep_curiosity.training.interfaces import Info
 
 SUCCESS_NAMES = ("is_success", "success")
 """Entries of an info by which tasks report success."""
+CROSSED = "cells_crossed"
+"""Entry of an info that holds every cell that was entered while an action was held."""
 
 
 class PlainSteps(gymnasium.Wrapper):
@@ -152,8 +155,9 @@ class VectorObservation(gymnasium.Wrapper):
 class ActionRepeat(gymnasium.Wrapper):
     """Holds every action for several steps of the task, of which it shows the last observation.
 
-    Rewards are summed, a success on the way is one, and the end of the episode, or what is not
-    finite, ends the holding.
+    Rewards are summed, a success on the way is one, `cells_crossed` in the info are the cells on
+    the way where the task tells any, and the end of the episode, or what is not finite, ends the
+    holding.
 
     Args:
         env: Its observations are vectors.
@@ -167,16 +171,20 @@ class ActionRepeat(gymnasium.Wrapper):
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
         """Step the task as often as the action is held."""
         total, succeeded = 0.0, False
+        cells = []
         for _ in range(self.num_steps):
             held = np.array(action)  # a task may change it in place
             observation, reward, terminated, truncated, info = self.env.step(held)
             total += float(reward)
             succeeded |= info.get("is_success", False)
+            cells += [info["cell"]] if isinstance(info.get("cell"), int | np.integer) else []
             sound = np.isfinite(total) and np.isfinite(observation).all()
             if terminated or truncated or not sound:
                 break
         if succeeded or "is_success" in info:  # it may be told at the step alone where it happens
             info["is_success"] = succeeded
+        if cells:
+            info[CROSSED] = np.array(cells)
         return observation, total, terminated, truncated, info
 
 
@@ -211,6 +219,13 @@ class SyncEnvironments(JoinedInfos, SyncVectorEnv):
 
 class AsyncEnvironments(JoinedInfos, AsyncVectorEnv):
     """Environments that step in a process of their own each."""
+
+
+def with_crossed_cells(info: Info) -> Info:
+    """Infos of environments, their `cell` all that were entered while an action was held."""
+    if CROSSED not in info:
+        return info
+    return {**info, "cell": info[CROSSED], "_cell": is_told(info, CROSSED)}
 
 
 def real_dtype(dtype: Any) -> type[np.floating]:

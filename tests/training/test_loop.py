@@ -261,6 +261,26 @@ def test_coverage_is_reported_where_the_task_has_cells(tiny, tmp_path):
     assert train(tiny, show_progress=False)["coverage"] is None
 
 
+@pytest.mark.parametrize("num_envs", [1, 2])
+def test_cells_that_are_crossed_while_an_action_is_held_are_covered(tiny, num_envs):
+    class Walks(gymnasium.Env):
+        """Enters another cell at every step."""
+
+        observation_space = action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,))
+        num_cells = 70
+
+        def reset(self, *, seed=None, options=None):
+            self.cell = 0
+            return np.zeros(1, np.float32), {"cell": 0}
+
+        def step(self, action):
+            self.cell += 1
+            return np.zeros(1, np.float32), 0.0, False, False, {"cell": self.cell}
+
+    config = tiny.override(env_id="make_env", env_kwargs={}, action_repeat=7, num_envs=num_envs)
+    assert train(config, make_env=Walks, show_progress=False)["coverage"] == 1
+
+
 def test_a_folder_that_holds_a_run_is_left_alone(tiny):
     train(tiny, show_progress=False)
     before = (tiny.run.out / "config.json").read_text()

@@ -3,11 +3,14 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
+from deep_curiosity.training.run_log import RunLog
 from deep_curiosity.training.wrappers import (
     ActionRepeat,
     PlainSteps,
+    SyncEnvironments,
     VectorObservation,
     real_dtype,
+    with_crossed_cells,
 )
 
 ACTION = np.zeros(1, np.float32)
@@ -264,6 +267,31 @@ def test_a_success_that_is_told_at_its_step_alone_is_one():
 
     environment = ActionRepeat(Tells(), 3)
     assert [environment.step(ACTION)[4] for _ in range(2)] == [{"is_success": True}, {}]
+
+
+class Walks(Counts):
+    """Tells the cell it is in, another one at every step."""
+
+    def step(self, action):
+        *step, info = super().step(action)
+        return *step, info | {"cell": 10 * self.steps}
+
+
+def test_cells_that_are_crossed_while_an_action_is_held_are_told():
+    environment = ActionRepeat(Walks(truncated=5), 3)
+    infos = [environment.step(ACTION)[4] for _ in range(2)]
+    assert [info["cell"] for info in infos] == [30, 50]
+    assert [info["cells_crossed"].tolist() for info in infos] == [[10, 20, 30], [40, 50]]
+    assert with_crossed_cells({"cell": 3}) == {"cell": 3}
+
+
+def test_cells_are_those_of_each_environment_though_holdings_end_apart():
+    makers = [lambda end=end: ActionRepeat(Walks(terminated=end), 3) for end in (1, 9)]
+    info = with_crossed_cells(SyncEnvironments(makers).step(np.zeros((2, 1)))[4])
+    assert [cells.tolist() for cells in info["cell"]] == [[10], [10, 20, 30]]
+    log = RunLog(step=4)
+    log.on_step(info)
+    assert log.cells == {10: 4, 20: 4, 30: 4}
 
 
 @pytest.mark.parametrize(
