@@ -12,7 +12,7 @@ from torch import Tensor
 MOST = 2**40  # of whatever is counted: more has no place in any memory
 LARGEST = 1e14  # of what is learned from; beyond it, squares of whitened values leave float32
 LARGEST_ACTION = 1e3  # of what is not whitened: a gradient grows with its cube, Adam squares that
-LIMITS = {"action": LARGEST_ACTION}  # of what is named so; of all else, `LARGEST`
+LIMITS = dict.fromkeys(("action", "visited.action", "policy(observation)"), LARGEST_ACTION)
 
 
 class Transition(NamedTuple):
@@ -272,7 +272,7 @@ def check_moderate(**values: Tensor) -> None:
             )
 
 
-def check_transition_kind(transition: Any) -> None:
+def check_transition_kind(transition: Any, name: str = "transition") -> None:
     """Reject what is no `Transition`.
 
     Raises:
@@ -280,7 +280,7 @@ def check_transition_kind(transition: Any) -> None:
     """
     if not isinstance(transition, Transition):
         kind = type(transition).__name__
-        raise TypeError(f"`transition` must be a Transition, got {kind}.")
+        raise TypeError(f"`{name}` must be a Transition, got {kind}.")
 
 
 def check_transition(
@@ -288,8 +288,16 @@ def check_transition(
     observation_dim: int,
     action_dim: int,
     dtype: torch.dtype = torch.float32,
+    name: str = "transition",
 ) -> None:
     """Reject a transition whose shapes, kinds or values would spoil statistics for good.
+
+    Args:
+        transition: What is given.
+        observation_dim: Length that its observations must have.
+        action_dim: Length that its actions must have.
+        dtype: Of the networks.
+        name: The argument that it was given by; `"visited"` names its fields so too.
 
     Raises:
         TypeError: If it is no `Transition`, or a field has the wrong kind.
@@ -299,7 +307,7 @@ def check_transition(
     if torch.compiler.is_compiling():
         return
     if not isinstance(transition, Transition):  # no call where it is one, as in every update
-        check_transition_kind(transition)
+        check_transition_kind(transition, name)
     try:
         observation, action, reward, next_observation, terminated, truncated = transition
         batch = len(reward)
@@ -318,33 +326,30 @@ def check_transition(
             return
     except (AttributeError, TypeError, ValueError, RuntimeError):
         pass  # what is wrong is said below
-    _explain(transition, observation_dim, action_dim, dtype)
+    _explain(transition, observation_dim, action_dim, dtype, name)
 
 
 def _explain(
-    transition: Transition, observation_dim: int, action_dim: int, dtype: torch.dtype
+    transition: Transition, observation_dim: int, action_dim: int, dtype: torch.dtype, name: str
 ) -> None:
     """Say what is wrong with a transition, field by field; nothing where only a norm is large."""
-    for name, dim in (
-        ("observation", observation_dim),
-        ("action", action_dim),
-        ("next_observation", observation_dim),
-    ):
-        check_batch(name, getattr(transition, name), dim, dtype)
-    check_scalars("reward", transition.reward, dtype)
-    check_scalars("terminated", transition.terminated, torch.bool)
-    check_scalars("truncated", transition.truncated, torch.bool)
-    num_rows = {name: getattr(transition, name).shape[0] for name in transition._fields}
+    of = "" if name == "transition" else f"{name}."  # whose fields are arguments by themselves
+    dims = {
+        "observation": observation_dim,
+        "action": action_dim,
+        "next_observation": observation_dim,
+    }
+    for field, dim in dims.items():
+        check_batch(of + field, getattr(transition, field), dim, dtype)
+    check_scalars(f"{of}reward", transition.reward, dtype)
+    check_scalars(f"{of}terminated", transition.terminated, torch.bool)
+    check_scalars(f"{of}truncated", transition.truncated, torch.bool)
+    num_rows = {field: getattr(transition, field).shape[0] for field in transition._fields}
     if len(set(num_rows.values())) != 1 or num_rows["observation"] == 0:
         raise ValueError(
-            f"`transition` must have fields of one batch size of at least 1, got {num_rows}."
+            f"`{name}` must have fields of one batch size of at least 1, got {num_rows}."
         )
-    check_moderate(
-        observation=transition.observation,
-        action=transition.action,
-        next_observation=transition.next_observation,
-        reward=transition.reward,
-    )
+    check_moderate(**{of + field: getattr(transition, field) for field in (*dims, "reward")})
 
 
 def _kind(value: Any) -> str:

@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from deep_curiosity.transitions import Transition
+from deep_curiosity.transitions import Transition, check_inputs
 
 Policy = Callable[[Tensor], Tensor]
 """Samples fresh actions `(batch, action_dim)` for observations `(batch, observation_dim)`."""
@@ -84,6 +84,36 @@ class Bonus(nn.Module, ABC):
     @abstractmethod
     def metrics(self) -> dict[str, Tensor]:
         """What to log: a flat dictionary of detached 0-d tensors."""
+
+
+def ask_policy(
+    policy: Policy, observation: Float[Tensor, "batch observation_dim"], action_dim: int
+) -> Float[Tensor, "batch action_dim"]:
+    """Fresh actions at some observations, checked as actions that are given are.
+
+    Raises:
+        TypeError: If the policy cannot be called, or returns no tensor of the observations' dtype.
+        ValueError: If what it returns has the wrong shape, or holds NaN, infinity or numbers
+            beyond 1e3.
+    """
+    check_policy(policy)
+    action = policy(observation)
+    check_inputs(
+        observation.dtype,
+        observation=(observation, observation.shape[1]),
+        **{"policy(observation)": (action, action_dim)},
+    )
+    return action
+
+
+def check_policy(policy: Any) -> None:
+    """Reject what is no function.
+
+    Raises:
+        TypeError: If it cannot be called.
+    """
+    if not callable(policy):
+        raise TypeError(f"`policy` must be callable, got {policy!r}.")
 
 
 def check_bonus(bonus: Any) -> None:

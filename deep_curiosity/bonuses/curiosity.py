@@ -8,7 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from deep_curiosity.bonuses.base import Bonus, Policy
+from deep_curiosity.bonuses.base import Bonus, Policy, ask_policy
 from deep_curiosity.bonuses.decomposition import DIVERGENCE, coefficients_of, information_gain
 from deep_curiosity.bonuses.dynamics import DynamicsEnsemble
 from deep_curiosity.bonuses.marginal import NUM_MEASURED, NextStateMarginal
@@ -249,7 +249,7 @@ class CuriosityBonus(Bonus):
                 enter at the next renewal. All statistics stay those of the batch.
 
         Raises:
-            TypeError: If a field, or what the policy returns, has the wrong kind.
+            TypeError: If a field, the policy or what it returns has the wrong kind.
             ValueError: If a field, or what the policy returns, has the wrong shape or holds NaN or
                 infinity, or a feature is none to compute with. The statistics are then as before.
         """
@@ -260,11 +260,10 @@ class CuriosityBonus(Bonus):
         fresh = transition
         if visited is not None:
             fresh = visited
-            self._check_transition(fresh)
+            self._check_transition(fresh, "visited")
             self.dynamics.check_features(fresh.observation)
         if policy is not None:
-            fresh = fresh._replace(action=policy(fresh.observation))
-            self._check_transition(fresh)
+            fresh = fresh._replace(action=ask_policy(policy, fresh.observation, self.action_dim))
         self.dynamics.observe(transition)  # first of all: it may refuse what features give
         scored, late = transition, fresh
         if not self.ready:  # half of the first batch is components, the other half is scored
@@ -407,9 +406,9 @@ class CuriosityBonus(Bonus):
         if not self.ready:
             raise RuntimeError("`observe` must see a batch before the bonus can be computed.")
 
-    def _check_transition(self, transition: Transition) -> None:
+    def _check_transition(self, transition: Transition, name: str = "transition") -> None:
         dtype = self.probe_observation.dtype
-        check_transition(transition, self.observation_dim, self.action_dim, dtype)
+        check_transition(transition, self.observation_dim, self.action_dim, dtype, name)
 
     def _remember(self, fresh: Transition) -> None:
         """Let visited states take the place of the oldest ones, for the next renewal."""

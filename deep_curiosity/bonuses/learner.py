@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from deep_curiosity.bonuses.base import Bonus, Policy, check_bonus
+from deep_curiosity.bonuses.base import Bonus, Policy, check_bonus, check_policy
 from deep_curiosity.nn.networks import Adam
 from deep_curiosity.nn.statistics import Every
 from deep_curiosity.transitions import (
@@ -29,6 +29,7 @@ class BonusLearner(nn.Module):
         update_interval: Calls of `learn` from one gradient step to the next.
 
     Raises:
+        TypeError: If the bonus is none, or the interval no whole number.
         ValueError: If the learning rate is not positive or the interval below 1.
     """
 
@@ -62,7 +63,7 @@ class BonusLearner(nn.Module):
             policy: Samples fresh actions at the batch's observations.
 
         Raises:
-            TypeError: If it is no `Transition`.
+            TypeError: If it is no `Transition`, or the policy cannot be called.
             RuntimeError: In inference mode, if there is something to learn.
         """
         check_transition_kind(transition)
@@ -136,6 +137,7 @@ class _WatchedPolicy:
     """A policy, and the actions it was asked for."""
 
     def __init__(self, policy: Policy) -> None:
+        check_policy(policy)
         self.policy = policy
         self.actions: list[Tensor] = []
 

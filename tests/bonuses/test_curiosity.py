@@ -439,6 +439,7 @@ BAD_POLICIES = {
     "too long": lambda observation: torch.zeros(observation.shape[0], 3),
     "rows missing": lambda observation: torch.zeros(1, 2),
     "nan": lambda observation: torch.full((observation.shape[0], 2), math.nan),
+    "absurd": lambda observation: torch.full((observation.shape[0], 2), 1e13),
 }
 
 
@@ -447,7 +448,7 @@ BAD_POLICIES = {
 def test_a_bad_policy_is_rejected_and_changes_nothing(reason, watchful):
     bonus, batch = watchful_bonus() if watchful else (small_bonus(), random_transition())
     before = copied(bonus.state_dict())
-    with pytest.raises((ValueError, TypeError), match="action"):
+    with pytest.raises((ValueError, TypeError), match=r"`policy\(observation\)` must"):
         bonus.observe(batch, BAD_POLICIES[reason])
     assert_unchanged(bonus, before)
 

@@ -121,8 +121,47 @@ def test_a_plain_tuple_is_no_transition(name: str, ask: str) -> None:
     rows = Transition(*pair(), torch.randn(ROWS), torch.randn(ROWS, 3), flags, flags)
     if ask == "visited" and not getattr(bonus, "follows_visits", True):
         return
-    with pytest.raises(TypeError, match="`transition` must be a Transition, got tuple"):
+    argument = "visited" if ask == "visited" else "transition"
+    with pytest.raises(TypeError, match=f"`{argument}` must be a Transition, got tuple"):
         if ask == "visited":
             bonus.observe(rows, visited=tuple(rows))
         else:
             getattr(bonus, ask)(tuple(rows))
+
+
+@pytest.mark.parametrize("name", ["curiosity", "hash-count"])
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("observation", math.nan, "`visited.observation` must be finite, got .* in row 5"),
+        ("action", 1e13, "`visited.action` must lie within 1000 of zero, got .* in row 5"),
+        ("next_observation", 1e20, r"`visited.next_observation` must lie within 1e\+14 of zero"),
+    ],
+)
+def test_what_was_visited_is_blamed_by_its_name(
+    name: str, field: str, value: float, message: str
+) -> None:
+    flags = torch.zeros(ROWS, dtype=torch.bool)
+    rows, late = (
+        Transition(*pair(), torch.randn(ROWS), torch.randn(ROWS, 3), flags, flags)
+        for _ in range(2)
+    )
+    getattr(late, field)[5, 1] = value
+    with pytest.raises(ValueError, match=message):
+        make_bonus(name, 3, 2, hidden_dims=(8,)).observe(rows, visited=late)
+    with pytest.raises(ValueError, match="`visited` must have fields of one batch size"):
+        make_bonus(name, 3, 2, hidden_dims=(8,)).observe(
+            rows, visited=rows._replace(reward=torch.zeros(3))
+        )
+
+
+@pytest.mark.parametrize("name", BONUSES)
+def test_a_policy_must_be_callable(name: str) -> None:
+    jaxtyping.config.update("jaxtyping_disable", True)  # whose own error would come first
+    bonus = make_bonus(name, 3, 2, hidden_dims=(8,))
+    flags = torch.zeros(ROWS, dtype=torch.bool)
+    rows = Transition(*pair(), torch.randn(ROWS), torch.randn(ROWS, 3), flags, flags)
+    for show in (bonus.observe, BonusLearner(bonus).learn):
+        with pytest.raises(TypeError, match="`policy` must be callable, got 3"):
+            show(rows, 3)
+    assert not bonus.should_skip

@@ -7,7 +7,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from deep_curiosity.bonuses.base import Bonus, Policy
+from deep_curiosity.bonuses.base import Bonus, Policy, ask_policy, check_policy
 from deep_curiosity.nn.statistics import WHITENINGS, Every, Standardization, replaced_by_mean
 from deep_curiosity.transitions import (
     Transition,
@@ -120,7 +120,7 @@ class BaselineBonus(Bonus):
         """Update the statistics from a batch, at every `refresh_interval`-th call.
 
         Raises:
-            TypeError: If a field, or what the policy returns, has the wrong kind.
+            TypeError: If a field, the policy or what it returns has the wrong kind.
             ValueError: If a field, or what the policy returns, has the wrong shape or holds NaN or
                 infinity. The statistics are then as before.
         """
@@ -130,11 +130,11 @@ class BaselineBonus(Bonus):
         self._check(transition)
         scored, late = transition, transition
         if visited is not None and self.follows_visits:
-            check_transition_kind(visited)
+            check_transition_kind(visited, "visited")
             late = visited
-            has_none = isinstance(late.action, Tensor) and len(late.action) == 0
+            has_none = isinstance(late.action, Tensor) and late.action.shape[:1] == (0,)
             if not has_none:  # nothing new may have been visited
-                self._check(late)
+                self._check(late, "visited")
         fresh_action = self._ask_policy(late, policy)
         self.observation_moments.update(transition.observation)
         if not self.ready:  # half of the first batch is remembered, the other half is scored
@@ -197,11 +197,12 @@ class BaselineBonus(Bonus):
 
     def _ask_policy(self, transition: Transition, policy: Policy | None) -> Tensor | None:
         """Actions of the policy of now, if any are wanted, checked as those of the batch are."""
-        if policy is None or not self.asks_policy:
+        if policy is None:
             return None
-        action = policy(transition.observation)
-        self._check(transition._replace(action=action))
-        return action
+        check_policy(policy)
+        if not self.asks_policy:
+            return None
+        return ask_policy(policy, transition.observation, self.action_dim)
 
-    def _check(self, transition: Transition) -> None:
-        check_transition(transition, self.observation_dim, self.action_dim, self._dtype)
+    def _check(self, transition: Transition, name: str = "transition") -> None:
+        check_transition(transition, self.observation_dim, self.action_dim, self._dtype, name)

@@ -91,7 +91,7 @@ def test_visited_states_that_are_refused_change_nothing(bad):
     bonus.observe(transition())
     before = {name: value.clone() for name, value in bonus.state_dict().items()}
     late.observation[3, 1] = bad
-    with pytest.raises(ValueError, match=r"`observation` must be finite.* in row 3"):
+    with pytest.raises(ValueError, match=r"`visited.observation` must be finite.* in row 3"):
         bonus.observe(transition(), visited=late)
     assert all(value.equal(before[name]) for name, value in bonus.state_dict().items())
     assert len(bonus.batches) == 1
