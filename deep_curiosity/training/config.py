@@ -65,7 +65,7 @@ class EnvironmentConfig(Group):
     observation_keys: tuple[str, ...] = ()
     """Entries of a dictionary of observations that are shown to the agent; all when none."""
     terminate_on_success: bool = False
-    """End an episode once the task reports success."""
+    """End an episode once the task reports success; a warning says where it reports none."""
     action_repeat: int = setting(1, at_most=1_000)
     """Steps of the task for which every action is held, with their rewards summed; all other steps
     and intervals count actions, but for `max_episode_steps`. For tasks whose steps are so short

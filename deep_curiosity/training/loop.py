@@ -138,6 +138,8 @@ def _take_step(run: Run) -> None:
     for episode in finished:
         run_log.episodes.append(episode)
         run.log.scalars(run_log.step, _scalars_of(episode))
+    if 0 < len(run_log.episodes) == len(finished):
+        _tell_of_no_success(run)
 
     # (a, b, c, e) Renew model, p(x'), values, policy, p(a) and temperature
     if learning:
@@ -167,6 +169,18 @@ def _record_step(
     if run.reached(course.checkpoint_interval):
         run.save()
     return stops
+
+
+def _tell_of_no_success(run: Run) -> None:
+    """Warn after the first episodes where they are to end at a success, and none is spoken of."""
+    task = run.config.environment
+    if task.terminate_on_success and not run.run_log.defines_success:
+        warnings.warn(
+            "`terminate_on_success` should be set for a task that reports success, as "
+            f"`is_success` or `success` in its info: {task.env_id} has said nothing of it in its "
+            "first episode, and no episode ends by it until it does.",
+            stacklevel=4,
+        )
 
 
 def _scalars_of(episode: Episode) -> dict[str, float]:

@@ -281,6 +281,15 @@ def test_cells_that_are_crossed_while_an_action_is_held_are_covered(tiny, num_en
     assert train(config, make_env=Walks, show_progress=False)["coverage"] == 1
 
 
+def test_a_task_that_tells_no_success_cannot_end_at_it(tiny):
+    config = tiny.override(
+        env_id="Pendulum-v1", env_kwargs={}, max_episode_steps=20, terminate_on_success=True
+    )
+    with pytest.warns(UserWarning, match="`terminate_on_success` .* Pendulum-v1 has said") as told:
+        train(config, show_progress=False)
+    assert len(told) == 1
+
+
 def test_a_folder_that_holds_a_run_is_left_alone(tiny):
     train(tiny, show_progress=False)
     before = (tiny.run.out / "config.json").read_text()
