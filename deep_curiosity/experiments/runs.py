@@ -13,6 +13,7 @@ from deep_curiosity.training.config import Config, config_key, run_key
 from deep_curiosity.training.lease import LeaseError
 from deep_curiosity.training.log import (
     CONFIG,
+    PROGRESS,
     SUMMARY,
     read_progress,
     read_values,
@@ -21,6 +22,7 @@ from deep_curiosity.training.log import (
 )
 from deep_curiosity.training.loop import train
 from deep_curiosity.training.source import source_commit
+from deep_curiosity.transitions import is_whole_number
 
 if TYPE_CHECKING:
     from deep_curiosity.experiments.study import Cell, Result, Row
@@ -48,11 +50,13 @@ def run_own(cell: "Cell") -> "Result":
 
     Raises:
         RunStoppedError: If the run is stopped before its end.
+        ValueError: If its progress.csv is damaged, or ends before the run does.
     """
     from deep_curiosity.experiments.study import Result
 
     config = cell.config
     summary = run_once(config)
+    check_progress(config, summary)
     curve = [
         {"step": step, "evaluation_return": value}
         for step, value in read_evaluations(config.run.out)
@@ -66,6 +70,24 @@ def run_own(cell: "Cell") -> "Result":
     return Result(cell.study.measure(config, summary), curve, origin)
 
 
+def check_progress(config: Config, summary: dict[str, Any]) -> None:
+    """Refuse a finished run whose progress.csv has lost rows, which its curve would lack.
+
+    Raises:
+        ValueError: Naming the file.
+    """
+    rows, taken = read_progress(config.run.out), summary["total_steps"]
+    if not rows and summary["evaluation_return"] is None:  # all steps broke: it has not learned
+        return
+    last = int(float(rows[-1]["step"])) if rows else 0
+    if last < taken:
+        raise ValueError(
+            f"`{PROGRESS}` must have a row of the last step of a run, {taken}, got "
+            f"{config.run.out / PROGRESS}, which is missing or ends at step {last}; --resume "
+            "mends it from the checkpoint."
+        )
+
+
 def changed_settings(config: Config) -> str:
     """Settings that differ from the default, as JSON; where a run lies is none of them."""
     return json.dumps({k: v for k, v in config.changes().items() if k != "out"})
@@ -74,7 +96,8 @@ def changed_settings(config: Config) -> str:
 def run_once(config: Config, on_evaluation: Callback | None = None) -> dict[str, Any]:
     """Summary of a run: read where it is finished, continued or begun where it is not.
 
-    A shorter run is continued, unless a schedule was stretched over its steps.
+    A shorter run is continued, unless a schedule was stretched over its steps; so is one whose
+    summary is damaged.
 
     Args:
         config: Settings of the run.
@@ -84,6 +107,7 @@ def run_once(config: Config, on_evaluation: Callback | None = None) -> dict[str,
         FileExistsError: If the folder holds a run of other settings, or a longer one.
         LeaseError: If another process has begun the run meanwhile, or holds its folder.
         RunStoppedError: If it is stopped before its end; it can be continued.
+        ValueError: If its summary is damaged, and no checkpoint is whole.
     """
     folder = config.run.out
     if not (folder / CONFIG).exists():
@@ -96,8 +120,8 @@ def run_once(config: Config, on_evaluation: Callback | None = None) -> dict[str,
             f"`out` must hold no run of other settings, got {folder}, which differs in "
             f"{', '.join(others)}; move it away or choose another folder."
         )
-    if (folder / SUMMARY).exists():
-        summary: dict[str, Any] = json.loads((folder / SUMMARY).read_text())
+    summary = _read_summary(folder)
+    if summary is not None:
         taken, wanted = summary["total_steps"], config.run.total_steps
         if taken >= wanted + config.environment.num_envs:  # which are stepped together
             raise FileExistsError(
@@ -106,7 +130,26 @@ def run_once(config: Config, on_evaluation: Callback | None = None) -> dict[str,
             )
         if taken >= wanted:
             return summary
-    return _to_its_end(config, on_evaluation, resume=True)
+    try:
+        return _to_its_end(config, on_evaluation, resume=True)
+    except FileNotFoundError as error:
+        if summary is not None or not (folder / SUMMARY).exists():
+            raise
+        raise ValueError(
+            f"`{SUMMARY}` must be that of a run, or stand beside a checkpoint that is whole, got "
+            f"{folder / SUMMARY}, which is damaged: {error}"
+        ) from error
+
+
+def _read_summary(folder: Path) -> dict[str, Any] | None:
+    """Summary of a run; `None` where it has none, or one that is damaged."""
+    try:
+        summary = json.loads((folder / SUMMARY).read_text())
+        versions = summary["versions"]
+        is_whole = is_whole_number(summary["total_steps"])
+        return summary if is_whole and {"deep-curiosity", "commit"} <= versions.keys() else None
+    except (AttributeError, KeyError, OSError, TypeError, ValueError):
+        return None
 
 
 def _begin(config: Config, on_evaluation: Callback | None) -> dict[str, Any]:
@@ -142,6 +185,7 @@ def run_foreign(cell: "Cell", trained: Callable[["Cell"], tuple["Row", list["Row
 
     Raises:
         FileExistsError: If the folder holds a result of other settings.
+        ValueError: If it holds one that is damaged.
     """
     from deep_curiosity.experiments.study import Result
 
@@ -153,10 +197,18 @@ def run_foreign(cell: "Cell", trained: Callable[["Cell"], tuple["Row", list["Row
         origin = {"version": __version__, "commit": source_commit(), "settings": wanted}
         path.parent.mkdir(parents=True, exist_ok=True)
         write_text(path, json.dumps({"row": row, "curve": curve, "origin": origin}))
-    result = json.loads(path.read_text())
-    if result["origin"]["settings"] != wanted:
+    try:
+        result = json.loads(path.read_text())
+        row, curve, origin = result["row"], result["curve"], result["origin"]
+        found = origin["settings"]
+    except (KeyError, TypeError, ValueError) as error:
+        raise ValueError(
+            f"`runs` must hold results that are whole, got {path}, which is damaged "
+            f"({type(error).__name__}: {error}); delete it to train again."
+        ) from error
+    if found != wanted:
         raise FileExistsError(f"`runs` must hold no result of other settings, got {path}.")
-    return Result([result["row"]], result["curve"], result["origin"])
+    return Result([row], curve, origin)
 
 
 def find_finished(runs: Path) -> dict[str, Path]:
@@ -188,11 +240,8 @@ def is_finished(config: Config) -> bool:
 
 def _is_finished(folder: Path, values: dict[str, Any]) -> bool:
     """Whether a run's summary is whole, and tells of all the steps that its settings want."""
-    try:
-        summary = json.loads((folder / SUMMARY).read_text())
-        return bool(summary["total_steps"] >= values["total_steps"])
-    except (OSError, ValueError, TypeError, KeyError):
-        return False
+    summary, wanted = _read_summary(folder), values.get("total_steps")
+    return summary is not None and is_whole_number(wanted) and summary["total_steps"] >= wanted
 
 
 def finished_key(config: Config) -> str:

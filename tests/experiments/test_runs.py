@@ -10,8 +10,10 @@ from deep_curiosity.experiments.runs import (
     measure_area,
     run_foreign,
     run_once,
+    run_own,
 )
 from deep_curiosity.experiments.study import Cell, Study, Task
+from deep_curiosity.training import train
 from deep_curiosity.training.lease import LeaseError
 from deep_curiosity.training.log import open_folder
 
@@ -51,17 +53,61 @@ def test_a_finished_run_is_read(tiny, monkeypatch):
     assert run_once(tiny) == json.loads(json.dumps(summary))
 
 
+DAMAGED = ["", '{"total_st', "{}", "[]", '{"total_steps": 60}', '{"total_steps": null}']
+
+
+@pytest.mark.parametrize("text", DAMAGED, ids=repr)
+def test_a_run_whose_summary_is_damaged_is_finished_again(tiny, text):
+    summary = run_once(tiny)
+    progress = (tiny.run.out / "progress.csv").read_bytes()
+    (tiny.run.out / "summary.json").write_text(text)
+    again = run_once(tiny)
+    assert again["evaluation_return"] == summary["evaluation_return"]
+    assert json.loads((tiny.run.out / "summary.json").read_text()) == again
+    assert (tiny.run.out / "progress.csv").read_bytes() == progress
+    for checkpoint in tiny.run.out.glob("checkpoint*.pt"):
+        checkpoint.write_bytes(b"damaged")
+    (tiny.run.out / "summary.json").write_text("[]")
+    with pytest.raises(ValueError, match=r"`summary.json` must be .*, got .*run/summary.json, wh"):
+        run_once(tiny)
+
+
+def test_a_finished_run_that_has_lost_its_progress_is_none_to_measure(tiny):
+    task = Task("pendulum", tiny)
+    cell = Cell(Study([task], {"a": {}}, seeds=1), task, "a", 0, tiny.run.out)
+    path = tiny.run.out / "progress.csv"
+    assert len(run_own(cell).curve) == 2
+    whole = path.read_bytes()
+    header, *rows = whole.splitlines(keepends=True)
+    for left in (b"", header[:20], header, header + rows[0]):
+        path.write_bytes(left)
+        with pytest.raises(
+            ValueError, match=r"`progress.csv` must .* last step .*, 60, got .*run"
+        ):
+            run_own(cell)
+    path.unlink()
+    with pytest.raises(ValueError, match="missing or ends at step 0; --resume mends it"):
+        run_own(cell)
+    with pytest.warns(UserWarning, match=r"progress.csv was missing; it is mended"):
+        train(tiny, resume=True, show_progress=False)
+    assert path.read_bytes() == whole and len(run_own(cell).curve) == 2
+
+
 def test_a_run_that_is_stopped_is_none_to_measure_and_goes_on(tiny):
     with pytest.raises(RunStoppedError, match=r"must reach its 60 steps .* stopped at step 40"):
         run_once(tiny, on_evaluation=lambda step, values: True)
     assert run_once(tiny)["total_steps"] == 60
 
 
+OLD = ("g without versions", '{"total_steps": 60}')
+
+
 def finish(config, steps=None):
     """Leave what a run that has ended leaves, without training."""
     open_folder(config)
     total_steps = config.run.total_steps if steps is None else steps
-    (config.run.out / "summary.json").write_text(json.dumps({"total_steps": total_steps}))
+    summary = {"total_steps": total_steps, "versions": {"deep-curiosity": "1", "commit": None}}
+    (config.run.out / "summary.json").write_text(json.dumps(summary))
 
 
 def test_a_run_of_the_same_settings_is_found_wherever_it_lies(tiny, tmp_path):
@@ -101,6 +147,10 @@ def test_another_library_s_result_is_kept_and_one_of_other_settings_refused(tiny
     assert first.rows == [{"evaluation_return": 1.0}]
     with pytest.raises(FileExistsError, match="no result of other settings"):
         run_foreign(cell({"kind": "TD3"}), trained)
+    for text in ("{", "[]", "{}"):
+        (tmp_path / "cell" / "result.json").write_text(text)
+        with pytest.raises(ValueError, match=r"whole, got .*cell/result\.json, which is"):
+            run_foreign(cell({"kind": "SAC"}), trained)
 
 
 @pytest.mark.parametrize("value", ["nan", ""], ids=str)
@@ -115,7 +165,7 @@ def test_only_runs_that_have_come_to_their_end_are_found(tiny, tmp_path):
     finish(tiny.override(out=tmp_path / "b whole"))
     open_folder(tiny.override(out=tmp_path / "a begun"))
     finish(tiny.override(out=tmp_path / "c stopped"), steps=20)
-    for name, text in (("d torn", '{"total_st'), ("e other", "[]"), ("f empty", "{}")):
+    for name, text in (("d torn", '{"total_st'), ("e other", "[]"), ("f empty", "{}"), OLD):
         open_folder(tiny.override(out=tmp_path / name))
         (tmp_path / name / "summary.json").write_text(text)
     assert find_finished(tmp_path) == {finished_key(tiny): tmp_path / "b whole"}
