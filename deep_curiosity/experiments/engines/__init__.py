@@ -41,12 +41,24 @@ def make_engine(args: EngineArgs, runs: Path) -> Engine:
     options = read_settings(args.engine_options, "engine_options")
     if args.engine != "ray" and args.address is not None:
         raise ValueError(f"`address` must be left out without the engine ray, got {args.address}.")
-    if args.engine == "ray":
-        return RayEngine(args.address, **options)
-    if args.engine == "slurm":
+    if args.engine == "local":
+        if options:
+            raise ValueError(
+                "`engine_options` must be left out for the engine local, "
+                f"got {', '.join(options)}."
+            )
+        return LocalEngine(args.workers)
+    try:
+        if args.engine == "ray":
+            return RayEngine(args.address, **options)
         return SlurmEngine(runs / "slurm", **options)
-    if options:
+    except ImportError:
+        raise
+    except Exception as error:  # each package has kinds of its own for what it does not take
+        name = "engine_options" if options else "address"
+        got = " ".join(args.engine_options) or args.address
+        if got is None:
+            raise
         raise ValueError(
-            f"`engine_options` must be left out for the engine local, got {', '.join(options)}."
-        )
-    return LocalEngine(args.workers)
+            f"`{name}` must be what the engine {args.engine} takes, got {got}: {error}"
+        ) from error

@@ -6,6 +6,7 @@ from typing import Any
 
 from deep_curiosity.experiments.engines.base import Engine, Job, Outcome
 from deep_curiosity.requirements import require
+from deep_curiosity.transitions import check_counts
 
 STOPPING_SECONDS = 60.0  # in which a run that is told to stop has saved itself
 
@@ -24,14 +25,14 @@ class RayEngine(Engine):
 
     Raises:
         ImportError: If Ray is missing, with the command that installs it.
+        TypeError: If the runs of a GPU are no whole number.
         ValueError: If no run would fit on a GPU.
     """
 
     def __init__(
         self, address: str | None = None, *, runs_per_gpu: int = 1, **options: Any
     ) -> None:
-        if runs_per_gpu < 1:
-            raise ValueError(f"`runs_per_gpu` must be at least 1, got {runs_per_gpu}.")
+        check_counts(runs_per_gpu=runs_per_gpu)
         require("ray", extra="ray")
         import ray
 

@@ -1,3 +1,6 @@
+import sys
+from types import SimpleNamespace
+
 import pytest
 
 from deep_curiosity import requirements
@@ -43,3 +46,35 @@ def test_a_job_that_calls_sys_exit_has_failed_and_ctrl_c_is_no_failure():
     assert make_job(functions.leave).run() == Outcome(error="SystemExit: 0")
     with pytest.raises(KeyboardInterrupt):
         make_job(functions.interrupt).run()
+
+
+@pytest.mark.parametrize(
+    "option", ["nonsense=3", "slurm_nonsense=1", "cluster=nix", "timeout_min=soon", "folder=x"]
+)
+def test_what_slurm_does_not_take_is_refused_by_the_name_of_the_option(option, tmp_path):
+    pytest.importorskip("submitit")
+    message = f"`engine_options` must be what the engine slurm takes, got {option}: "
+    with pytest.raises(ValueError, match=message):
+        make_engine(EngineArgs(engine="slurm", engine_options=(option,)), tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"engine_options": ("nonsense=3",)}, "`engine_options` must be .*ray takes, got nons"),
+        ({"engine_options": ("runs_per_gpu=x",)}, "`engine_options` must be .*got runs_per_gpu=x"),
+        ({"engine_options": ("address=auto",)}, "`engine_options` must be .*got address=auto: "),
+        ({"address": "garbage"}, "`address` must be what the engine ray takes, got garbage: Unk"),
+    ],
+    ids=str,
+)
+def test_what_ray_does_not_take_is_refused_by_the_name_of_the_option(
+    options, message, tmp_path, monkeypatch
+):
+    def init(**given):
+        raise RuntimeError("Unknown keyword argument(s)")
+
+    ray = SimpleNamespace(__spec__=object(), is_initialized=lambda: False, init=init)
+    monkeypatch.setitem(sys.modules, "ray", ray)
+    with pytest.raises(ValueError, match=message):
+        make_engine(EngineArgs(engine="ray", **options), tmp_path)
