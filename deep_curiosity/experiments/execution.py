@@ -112,5 +112,6 @@ def _outcome_of(future: "Future[Outcome]") -> Outcome:
     try:
         return future.result()
     except (Exception, SystemExit) as error:  # of an engine: its worker or its node died
-        first = str(error).partition("\n")[0]  # Ray adds a page of its own state
+        lines = str(error).strip().splitlines()  # Ray adds a page of its own state
+        first = lines[0] if lines else ""
         return Outcome(error=f"{type(error).__name__}: {first}", stopped=True)

@@ -40,6 +40,7 @@ from deep_curiosity.experiments.together import (
     plot_together,
     summarize_together,
 )
+from deep_curiosity.experiments.workers import check_guarded
 from deep_curiosity.training.interruption import terminated_like_interrupted
 from deep_curiosity.training.log import write_text
 
@@ -135,6 +136,9 @@ def run_study(
     of other settings, or that raises, is listed as failed, and the others go on. Ctrl-C or SIGTERM
     ends all, each run with a checkpoint to continue from when this is called again.
 
+    The workers of this machine are spawned and read a script anew, wherever it runs: there the
+    call stands below `if __name__ == "__main__":`.
+
     Args:
         study: What is run.
         runs: Folder that receives the folders of the runs; all machines of an engine share it.
@@ -152,7 +156,9 @@ def run_study(
         ValueError: If the study names a column that no run can have; or one that a run which ends
             does not have, which can be read when the study is run again with other columns.
         KeyboardInterrupt: If it is stopped, once what came is written.
+        RuntimeError: If a script calls it that a worker reads anew.
     """
+    check_guarded("run_study")
     check_out(study, out)
     check_measure(study)
     cells = cells_of(study, runs)

@@ -35,6 +35,7 @@ from deep_curiosity.experiments.runs import RunStoppedError, run_once
 from deep_curiosity.experiments.search import Search, check_out
 from deep_curiosity.experiments.statistics import interquartile_mean
 from deep_curiosity.experiments.tables import output_path, write_table
+from deep_curiosity.experiments.workers import check_guarded
 from deep_curiosity.training.config import Config
 from deep_curiosity.training.interruption import terminated_like_interrupted
 from deep_curiosity.training.lease import Lease, LeaseError
@@ -84,8 +85,10 @@ def tune(
     Raises:
         FileExistsError: If a file at `out` is none that a search has written.
         LeaseError: If another process searches in `runs`.
+        RuntimeError: If a script calls it that a worker reads anew.
         ValueError: If a number is below 1, or `storage` cannot be opened.
     """
+    check_guarded("tune")
     for name, number in (("trials", trials), ("at_once", at_once)):
         if number < 1:
             raise ValueError(f"`{name}` must be at least 1, got {number}.")

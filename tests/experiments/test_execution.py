@@ -82,6 +82,13 @@ def test_what_gets_no_further_is_given_up(lost):
     assert ended.outcome.error == messages.get(lost, STOPPED.error)
 
 
+@pytest.mark.parametrize(("text", "reason"), [("\n \n  it broke\nthere", "it broke"), ("", "")])
+def test_the_reason_of_what_is_lost_is_its_first_line_that_says_something(text, reason):
+    engine = ScriptedEngine({0: [RuntimeError(text)] * 10})
+    (ended,) = ends(engine, 1)
+    assert ended.outcome.error == f"RuntimeError: {reason}"
+
+
 def test_what_gets_further_is_tried_as_often_as_it_is_lost():
     engine = ScriptedEngine({0: [LOST] * 20 + [Outcome("done")]})
     assert ends(engine, 1, lambda number: len(engine.given)) == [Ended(0, Outcome("done"))]

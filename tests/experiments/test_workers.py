@@ -1,4 +1,5 @@
 import json
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -7,6 +8,7 @@ import time
 
 import pytest
 
+from deep_curiosity.experiments.grid import run_study
 from deep_curiosity.training.checkpoint import load_checkpoint
 from tests.experiments.waiting import PATIENCE, wait_until
 
@@ -62,3 +64,12 @@ def test_the_runs_of_a_study_end_with_it_and_leave_a_checkpoint(tmp_path, sent):
     for folder in folders:
         assert load_checkpoint(folder)["run_log"]["step"] > 0
         assert not list(folder.glob("lease.*"))
+
+
+def test_a_study_in_a_script_that_a_worker_reads_anew_is_refused(
+    small_study, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(multiprocessing.current_process(), "_inheriting", True, raising=False)
+    with pytest.raises(RuntimeError, match="`run_study` must be called below `if __name__ == "):
+        run_study(small_study, runs=tmp_path / "runs", out=tmp_path / "out")
+    assert [*tmp_path.iterdir()] == []
