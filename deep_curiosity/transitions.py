@@ -186,9 +186,14 @@ def check_scalars(name: str, value: Tensor, dtype: torch.dtype) -> None:
 
 
 def is_number(value: Any) -> bool:
-    """Whether a value is a finite real number; `True` and `False` are none."""
-    is_real = isinstance(value, numbers.Real) and not isinstance(value, bool)
-    return is_real and math.isfinite(value)
+    """Whether a value is a number of Python or NumPy, finite as a float.
+
+    `True` and `False` are none, nor are fractions, which tensors do not take.
+    """
+    try:
+        return _is_real(value) and math.isfinite(value)
+    except OverflowError:  # a whole number beyond all floats
+        return False
 
 
 def is_whole_number(value: Any) -> bool:
@@ -213,14 +218,27 @@ def check_counts(**counts: Any) -> None:
             raise ValueError(f"`{name}` must be at most {MOST}, got {count}.")
 
 
+def check_number_kind(**values: Any) -> None:
+    """Reject what is no number, finite or not, as tensors take them.
+
+    Raises:
+        TypeError: Naming the first one, and its value.
+    """
+    for name, value in values.items():
+        if not _is_real(value):
+            raise TypeError(f"`{name}` must be an int or a float, got {value!r}.")
+
+
 def check_positive(**values: Any) -> None:
     """Reject what is not a positive, finite number.
 
     Raises:
-        ValueError: Naming the first one, and its value.
+        TypeError: Naming the first one that is no number.
+        ValueError: Naming the first one that is not positive and finite, and its value.
     """
     for name, value in values.items():
         if not (is_number(value) and value > 0):
+            check_number_kind(**{name: value})
             raise ValueError(f"`{name}` must be positive and finite, got {value}.")
 
 
@@ -350,6 +368,13 @@ def _explain(
             f"`{name}` must have fields of one batch size of at least 1, got {num_rows}."
         )
     check_moderate(**{of + field: getattr(transition, field) for field in (*dims, "reward")})
+
+
+def _is_real(value: Any) -> bool:
+    """Whether a value is a number of Python or NumPy, and neither a bool nor a fraction."""
+    if isinstance(value, numbers.Rational):
+        return is_whole_number(value)
+    return isinstance(value, numbers.Real)
 
 
 def _kind(value: Any) -> str:

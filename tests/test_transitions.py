@@ -1,5 +1,6 @@
 import math
 import re
+from fractions import Fraction
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from deep_curiosity.transitions import (
     check_counts,
     check_finite,
     check_inputs,
+    check_positive,
     check_single_steps,
     check_transition,
     is_number,
@@ -227,7 +229,10 @@ def test_a_count_of_numpy_is_a_count() -> None:
         check_counts(members=10**18)
 
 
-@pytest.mark.parametrize("value", [None, "1", True, math.nan, math.inf, 1j, [1.0]])
+@pytest.mark.parametrize(
+    "value",
+    [None, "1", True, math.nan, math.inf, 1j, [1.0], 10**400, Fraction(1, 10), torch.tensor(0.1)],
+)
 def test_what_is_no_finite_number_is_none(value: object) -> None:
     assert not is_number(value)
 
@@ -235,6 +240,23 @@ def test_what_is_no_finite_number_is_none(value: object) -> None:
 @pytest.mark.parametrize("value", [0, -1.5, np.float32(2), np.int64(3)])
 def test_numbers_of_any_kind_are_numbers(value: object) -> None:
     assert is_number(value)
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "message"),
+    [
+        (Fraction(1, 10), TypeError, r"an int or a float, got Fraction\(1, 10\)"),
+        (torch.tensor(0.1), TypeError, r"an int or a float, got tensor\(0.1000\)"),
+        (True, TypeError, "an int or a float, got True"),
+        (10**400, ValueError, "positive and finite, got 1000"),
+        (-math.inf, ValueError, "positive and finite, got -inf"),
+    ],
+)
+def test_what_is_not_positive_or_no_number_is_refused_by_the_rule_that_it_breaks(
+    value: object, error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=f"`scale` must be {message}"):
+        check_positive(width=2, scale=value)
 
 
 def test_several_steps_are_not_taken_for_one() -> None:

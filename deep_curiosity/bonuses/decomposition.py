@@ -8,7 +8,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from deep_curiosity.gaussians import DiagonalMixture, jensen_shannon_lower
-from deep_curiosity.transitions import is_number
+from deep_curiosity.transitions import check_number_kind, is_number
 
 
 class Coefficients(NamedTuple):
@@ -37,6 +37,7 @@ def coefficients_of(parts: Mapping[str, float] | None) -> Coefficients:
         parts: Weight of each part that is rewarded; `None` is the divergence itself.
 
     Raises:
+        TypeError: If `parts` is no mapping, or a weight no number.
         ValueError: If no part is named, a name is unknown, a weight is not finite, or the weights
             leave nothing.
     """
@@ -50,6 +51,7 @@ def coefficients_of(parts: Mapping[str, float] | None) -> Coefficients:
         if name not in PARTS:
             raise ValueError(f"`parts` must be named {', '.join(PARTS)}, got {name!r}.")
         if not is_number(weight):
+            check_number_kind(**{f"parts[{name!r}]": weight})
             raise ValueError(f"`parts` must have finite weights, got {weight!r} for {name!r}.")
     weighted = [[weight * share for share in PARTS[name]] for name, weight in parts.items()]
     coefficients = Coefficients(*map(sum, zip(*weighted, strict=True)))

@@ -96,7 +96,7 @@ class DynamicsEnsemble(nn.Module):
         self.num_members = num_members
         self.members = members
         self.mixture_components = mixture_components
-        self.noise_floor = noise_floor
+        self.noise_floor = float(noise_floor)
         self.features = features
         if isinstance(features, nn.Module):
             features.eval().requires_grad_(False)

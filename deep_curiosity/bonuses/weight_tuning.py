@@ -6,7 +6,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from deep_curiosity.transitions import check_positive, is_number
+from deep_curiosity.transitions import check_number_kind, check_positive, is_number
 
 PAST_DECAY = 0.995  # of the remembered earning, for each update: that of usual target networks
 LOG_RANGE = math.log(1e3)  # the factor stays within a thousand of one, either way
@@ -25,6 +25,7 @@ class TunedWeight(nn.Module):
         learning_rate: Step size of the log weight, for each update of the agent.
 
     Raises:
+        TypeError: If a number is none.
         ValueError: If the goal is not finite, or the learning rate not positive and finite.
 
     Reference: Sukhija et al., "MaxInfoRL: Boosting exploration in reinforcement learning through
@@ -38,10 +39,11 @@ class TunedWeight(nn.Module):
     def __init__(self, *, goal: float | None = None, learning_rate: float = 3e-4) -> None:
         super().__init__()
         if goal is not None and not is_number(goal):
+            check_number_kind(goal=goal)
             raise ValueError(f"`goal` must be finite, got {goal!r}.")
         check_positive(learning_rate=learning_rate)
-        self.goal = goal
-        self.learning_rate = learning_rate
+        self.goal = None if goal is None else float(goal)  # torch takes no large whole number
+        self.learning_rate = float(learning_rate)
         self.register_buffer("log_factor", torch.zeros(()))
         self.register_buffer("past", torch.tensor(math.nan))
 

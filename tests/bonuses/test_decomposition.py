@@ -1,5 +1,6 @@
 import math
 
+import jaxtyping
 import pytest
 import torch
 
@@ -42,6 +43,12 @@ def test_weights_add_up_by_hand():
 def test_parts_that_mean_nothing_are_rejected(parts, message):
     with pytest.raises(ValueError, match=message):
         coefficients_of(parts)
+
+
+def test_a_weight_of_a_part_must_be_a_number():
+    jaxtyping.config.update("jaxtyping_disable", True)  # whose own error would come first
+    with pytest.raises(TypeError, match=r"`parts\['cross_entropy'\]` must be an int or a float"):
+        coefficients_of({"cross_entropy": "1"})
 
 
 def test_entropy_of_components_far_apart_is_one_bit_more():

@@ -52,6 +52,7 @@ def test_the_weight_outlives_what_is_not_finite(goal, earned, first):
     ("options", "message"),
     [
         ({"goal": math.nan}, "`goal` must be finite, got nan"),
+        ({"goal": 10**400}, "`goal` must be finite, got 1000"),
         ({"learning_rate": 0.0}, "`learning_rate` must be positive and finite, got 0.0"),
     ],
 )

@@ -1,5 +1,7 @@
 import math
+from fractions import Fraction
 
+import jaxtyping
 import pytest
 import torch
 
@@ -269,10 +271,23 @@ def test_a_standardised_value_is_centred_and_scaled_where_that_is_wanted(center,
     torch.testing.assert_close(standardization(value), expected)
 
 
-@pytest.mark.parametrize("weight", [-0.1, math.nan, math.inf])
+@pytest.mark.parametrize("weight", [-0.1, math.nan, math.inf, 10**400])
 def test_a_weight_that_is_negative_or_not_finite_is_rejected(weight):
     with pytest.raises(ValueError, match="`weight` must be finite and not negative, got"):
         Standardization(weight=weight, center=True, scale=True)
+
+
+@pytest.mark.parametrize("weight", [torch.tensor(0.1), Fraction(1, 10), "0.1", True, None])
+def test_a_weight_must_be_a_number(weight):
+    jaxtyping.config.update("jaxtyping_disable", True)  # whose own error would come first
+    with pytest.raises(TypeError, match="`weight` must be an int or a float, got"):
+        Standardization(weight=weight, center=True, scale=True)
+
+
+def test_a_weight_may_be_any_whole_number():
+    jaxtyping.config.update("jaxtyping_disable", True)  # which takes no whole numbers for others
+    huge = Standardization(weight=10**30, center=False, scale=False)
+    assert huge(torch.ones(1)).item() == pytest.approx(1e30)
 
 
 def saturating(value):

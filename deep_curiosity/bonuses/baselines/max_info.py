@@ -65,7 +65,7 @@ class InformationGainBonus(BaselineBonus):
             refresh_interval=refresh_interval,
         )
         check_positive(noise_std=noise_std)
-        self.noise_std = noise_std
+        self.noise_std = float(noise_std)
         self.asks_policy = tune_weight
         self.tuned_weight = TunedWeight(learning_rate=weight_learning_rate)
         self.ensemble = PointEnsemble(
