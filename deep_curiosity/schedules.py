@@ -1,10 +1,11 @@
 """Numbers that go with time, each as one value: the price of information, the hunger."""
 
 import math
+import sys
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-from deep_curiosity.transitions import is_number
+from deep_curiosity.transitions import check_number_kind, is_number
 
 Shape = Literal["constant", "linear", "exponential", "plateaus"]
 NUM_PLATEAUS = 10  # values at which annealing waits, the first and the last among them
@@ -26,6 +27,7 @@ class Schedule:
             deterministic annealing, as the paper's section 4 lowers lambda.
 
     Raises:
+        TypeError: If an end is no number.
         ValueError: If an end is not finite and positive, the shape is unknown, or a constant is to
             end elsewhere than it begins.
     """
@@ -41,6 +43,7 @@ class Schedule:
         for name in ("first", "last"):
             value = getattr(self, name)
             if (value is not None or name == "first") and not (is_number(value) and value > 0):
+                check_number_kind(**{name: value})
                 raise ValueError(f"`{name}` must be finite and positive, got {value!r}.")
         if (self.shape == "constant") != (self.last is None):
             raise ValueError(
@@ -78,6 +81,7 @@ class Schedule:
     def __call__(self, progress: float) -> float:
         """Value at a share of the way, from 0 to 1; it stays where it ends."""
         if not (is_number(progress) and progress >= 0):
+            check_number_kind(progress=progress)
             raise ValueError(f"`progress` must be finite and not negative, got {progress!r}.")
         progress = min(progress, 1.0)
         if self.last is None:
@@ -87,4 +91,7 @@ class Schedule:
         if self.shape == "plateaus":
             plateau = min(math.floor(progress * NUM_PLATEAUS), NUM_PLATEAUS - 1)
             progress = plateau / (NUM_PLATEAUS - 1)
-        return self.first * (self.last / self.first) ** progress
+        ratio = self.last / self.first
+        if sys.float_info.min <= ratio < math.inf:
+            return self.first * ratio**progress
+        return self.first ** (1 - progress) * self.last**progress  # of ends too far apart

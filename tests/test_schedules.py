@@ -1,6 +1,8 @@
 import math
+from fractions import Fraction
 from itertools import pairwise
 
+import jaxtyping
 import pytest
 
 from deep_curiosity.schedules import Schedule
@@ -34,10 +36,34 @@ def test_ten_plateaus_go_from_the_first_to_the_last_which_is_acted_at():
     assert schedule(0.9) == schedule(1.0) == pytest.approx(0.002)
 
 
+@pytest.mark.parametrize("shape", ["exponential", "plateaus"])
+@pytest.mark.parametrize("ends", [(1e-200, 1e200), (1e200, 1e-200), (10**300, 1e-300)])
+def test_ends_whose_ratio_is_no_float_are_as_far_from_the_middle(shape, ends):
+    schedule = Schedule(*ends, shape)
+    assert schedule(0.0) == float(ends[0]) and schedule(1.0) == ends[1]
+    values = [schedule(0.05 + step / 10) for step in range(10)]
+    logs = [math.log(value) for value in values]
+    assert logs == sorted(logs, reverse=ends[0] > ends[1])
+    assert [a + b for a, b in zip(logs, reversed(logs), strict=True)] == pytest.approx([0] * 10)
+
+
+def test_the_middle_of_far_ends_is_their_geometric_mean():
+    assert Schedule(1e-200, 1e200)(0.5) == pytest.approx(1.0)
+    assert Schedule(0.3, 0.03)(0.7) == 0.3 * (0.03 / 0.3) ** 0.7  # of others bit for bit as ever
+
+
+@pytest.mark.parametrize("value", [Fraction(1, 10), "1", True, None])
+def test_an_end_must_be_a_number(value):
+    jaxtyping.config.update("jaxtyping_disable", True)  # whose own error would come first
+    with pytest.raises(TypeError, match="`first` must be an int or a float, got"):
+        Schedule(value, 1.0)
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
         ((0.0, 1.0), "`first` must be finite and positive, got 0.0"),
+        ((10**400, 1.0), "`first` must be finite and positive, got 1000"),
         ((1.0, math.inf), "`last` must be finite and positive, got inf"),
         ((1.0, 2.0, "constant"), "`last` must be left out .* got 2.0 for 'constant'"),
         ((1.0,), "`last` must be left out .* got None for 'exponential'"),
