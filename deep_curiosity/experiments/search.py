@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from deep_curiosity.configuration import check_range, flat
-from deep_curiosity.experiments.study import CHOSEN, Task, check_folders
+from deep_curiosity.configuration import flat
+from deep_curiosity.experiments.study import CHOSEN, Task, as_tasks, check_folders, check_seeds
 from deep_curiosity.experiments.tables import check_outputs
 from deep_curiosity.training.config import config_key
 
@@ -39,17 +39,23 @@ class Search:
 
         Raises:
             TypeError: If a setting is none of the tasks', its values are no distribution, or a
-                choice is neither text, a number, True, False nor None, as Optuna keeps no other.
+                choice is neither text, a number, True, False nor None, as Optuna keeps no other;
+                or tasks, space or ranges are none, or a count is no whole number.
             ValueError: If there is nothing to choose, a task has no range, or a setting cannot
                 have a value that may be drawn, as far as that is known without all the others.
         """
+        object.__setattr__(self, "tasks", as_tasks(self.tasks))
+        for name in ("space", "ranges"):
+            if not isinstance(getattr(self, name), Mapping):
+                raise TypeError(
+                    f"`{name}` must have entries by name, got {getattr(self, name)!r}."
+                )
         if not self.space or not self.tasks:
             raise ValueError(
                 "`space` and `tasks` must have an entry each, "
                 f"got {len(self.space)} and {len(self.tasks)}."
             )
-        check_range("seeds", self.seeds, {"at_most": 10_000})
-        check_range("first_seed", self.first_seed, {"at_least": 0})
+        check_seeds(self.seeds, self.first_seed)
         check_folders([task.name for task in self.tasks])
         if chosen := sorted(set(self.space) & set(CHOSEN)):
             raise ValueError(
@@ -57,10 +63,10 @@ class Search:
                 f"got {', '.join(chosen)}."
             )
         for task in self.tasks:
-            low, high = self.ranges.get(task.name, (0.0, 0.0))
-            if not -math.inf < low < high < math.inf:
+            ends = self.ranges.get(task.name)
+            if not _are_rising(ends):
                 raise ValueError(
-                    f"`ranges` must give two rising returns for {task.name}, got {low} and {high}."
+                    f"`ranges` must give two rising returns for {task.name}, got {ends!r}."
                 )
             if unknown := sorted(set(self.space) - set(flat(task.config))):
                 raise TypeError(
@@ -108,13 +114,22 @@ class Search:
             "tasks": {task.name: config_key(task.config.to_json()) for task in self.tasks},
             "space": {name: repr(values) for name, values in self.space.items()},
             "ranges": {task.name: self.ranges[task.name] for task in self.tasks},
-            "seeds": [self.first_seed, self.seeds],
+            "seeds": [int(self.first_seed), int(self.seeds)],
         }
 
     def normalise(self, task: str, value: float) -> float:
         """A return of a task on the scale of all."""
         low, high = self.ranges[task]
         return (value - low) / (high - low)
+
+
+def _are_rising(ends: Any) -> bool:
+    """Whether they are two numbers, the second above the first."""
+    try:
+        low, high = ends
+        return bool(-math.inf < low < high < math.inf)
+    except (TypeError, ValueError):  # not two, no numbers
+        return False
 
 
 def _ends(distribution: Any) -> Sequence[Any]:

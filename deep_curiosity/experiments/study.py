@@ -2,7 +2,7 @@
 
 import math
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from numbers import Real
 from pathlib import Path
@@ -11,6 +11,7 @@ from typing import Any
 from deep_curiosity.configuration import check_range
 from deep_curiosity.experiments.runs import MEASURED, measure_run, run_own
 from deep_curiosity.training.config import Config
+from deep_curiosity.transitions import is_whole_number
 
 Row = dict[str, Any]
 Agents = dict[str | float, dict[str, Any]]
@@ -43,7 +44,7 @@ class Task:
             task on which the default was chosen.
 
     Raises:
-        TypeError: If the return is no number.
+        TypeError: If the name is no text, the settings are no Config, or the return is no number.
     """
 
     name: str
@@ -52,7 +53,11 @@ class Task:
     is_shown_apart: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse a return that no other can be compared with."""
+        """Refuse what is no task, and a return that no other can be compared with."""
+        if not isinstance(self.name, str):
+            raise TypeError(f"`name` of a task must be text, got {self.name!r}.")
+        if not isinstance(self.config, Config):
+            raise TypeError(f"`config` of {self.name} must be a Config, got {self.config!r}.")
         value = self.solved_return
         if isinstance(value, bool) or not isinstance(value, Real):
             raise TypeError(
@@ -77,8 +82,8 @@ class Study:
         curves: Whether the figure shows learning curves instead of the columns.
 
     Raises:
-        TypeError: If an agent changes a setting that there is not, or gives it a wrong type; or
-            columns are no names.
+        TypeError: If tasks or agents are none, an agent changes a setting that there is not, or
+            gives it a wrong type; columns are no names, or a count is no whole number.
         ValueError: If there is no task or agent, two have one name or one folder, a number is out
             of range, an agent's settings cannot be, or the label or columns are none.
     """
@@ -95,8 +100,9 @@ class Study:
 
     def __post_init__(self) -> None:
         """Refuse what could not be run, before anything is."""
-        check_range("seeds", self.seeds, {"at_most": 10_000})
-        check_range("first_seed", self.first_seed, {"at_least": 0})
+        object.__setattr__(self, "tasks", as_tasks(self.tasks))
+        check_seeds(self.seeds, self.first_seed)
+        self._check_labels()
         tasks, agents = [task.name for task in self.tasks], [str(label) for label in self.agents]
         for name, known in (("tasks", tasks), ("agents", agents)):
             if not known or len(set(known)) < len(known):
@@ -123,6 +129,16 @@ class Study:
         if not self.label or self.label in (*OF_ROWS, *MEASURED, *columns):
             raise ValueError(f"`label` must be a name of no column, got {self.label!r}.")
 
+    def _check_labels(self) -> None:
+        """Refuse agents that have no labels, or labels by which they could not be told apart."""
+        if not isinstance(self.agents, Mapping):
+            raise TypeError(f"`agents` must be settings by label, got {self.agents!r}.")
+        for label in self.agents:
+            if not isinstance(label, str | Real):
+                raise TypeError(f"`agents` must have names or numbers as labels, got {label!r}.")
+            if label != label:
+                raise ValueError(f"`agents` must have labels that equal themselves, got {label}.")
+
     def _check_agents(self) -> None:
         """Refuse agents without settings by name, and settings that the study chooses."""
         for label, settings in self.agents.items():
@@ -145,6 +161,42 @@ class Study:
                     raise type(error)(f"agent {label!r} on {task.name}: {error}") from error
 
 
+def as_tasks(tasks: Iterable[Task]) -> Sequence[Task]:
+    """Tasks that can be gone through again and again, whatever gives them.
+
+    Raises:
+        TypeError: If they are none.
+    """
+    if not isinstance(tasks, Iterable):
+        raise TypeError(f"`tasks` must be a sequence of tasks, got {tasks!r}.")
+    tasks = tasks if isinstance(tasks, Sequence) else [*tasks]
+    for task in tasks:
+        if not isinstance(task, Task):
+            raise TypeError(f"`tasks` must hold objects of Task, got {task!r}.")
+    return tasks
+
+
+def check_seeds(seeds: int, first_seed: int) -> None:
+    """Refuse a number of seeds, or a first one, that cannot be.
+
+    Raises:
+        TypeError: If it is no whole number.
+        ValueError: If it is out of range.
+    """
+    for name, number in (("seeds", seeds), ("first_seed", first_seed)):
+        if not is_whole_number(number):
+            raise TypeError(f"`{name}` must be a whole number, got {number!r}.")
+    check_range("seeds", int(seeds), {"at_most": 10_000})
+    check_range("first_seed", int(first_seed), {"at_least": 0})
+
+
+def can_be_folder(name: Any) -> bool:
+    """Whether a name is one of a folder below another."""
+    if not isinstance(name, str) or not name or "\0" in name:
+        return False
+    return not Path(name).is_absolute() and ".." not in Path(name).parts
+
+
 def check_folders(tasks: Sequence[str], agents: Sequence[str] = ("agent",)) -> None:
     """Refuse names by which a run would have no folder of its own below the study's.
 
@@ -152,7 +204,7 @@ def check_folders(tasks: Sequence[str], agents: Sequence[str] = ("agent",)) -> N
         ValueError: Naming them.
     """
     for name in (*tasks, *agents):
-        if not name or Path(name).is_absolute() or ".." in Path(name).parts:
+        if not can_be_folder(name):
             raise ValueError(
                 f"`tasks` and `agents` must have names that folders can have, got {name!r}."
             )

@@ -1,10 +1,12 @@
 import csv
 import json
+import math
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from deep_curiosity import __version__
@@ -205,6 +207,16 @@ def test_settings_of_all_runs_can_be_overridden(small_study, tmp_path):
         ({"tasks": []}, ValueError, r"`tasks` must have names, each of its own, got \[\]"),
         ({"seeds": 0}, ValueError, "`seeds` must be at least 1, got 0"),
         ({"first_seed": -1}, ValueError, "`first_seed` must not be negative, got -1"),
+        ({"seeds": "3"}, TypeError, "`seeds` must be a whole number, got '3'"),
+        ({"seeds": 2.0}, TypeError, "`seeds` must be a whole number, got 2.0"),
+        ({"seeds": True}, TypeError, "`seeds` must be a whole number, got True"),
+        ({"first_seed": "3"}, TypeError, "`first_seed` must be a whole number, got '3'"),
+        ({"tasks": 5}, TypeError, "`tasks` must be a sequence of tasks, got 5"),
+        ({"tasks": ["a"]}, TypeError, "`tasks` must hold objects of Task, got 'a'"),
+        ({"agents": ["a"]}, TypeError, r"`agents` must be settings by label, got \['a'\]"),
+        ({"agents": {None: {}}}, TypeError, "`agents` must have names or numbers .* got None"),
+        ({"agents": {math.nan: {}}}, ValueError, "`agents` must have labels that equal .*got nan"),
+        ({"agents": {"a\0b": {}}}, ValueError, "`agents` must have names that folders can have"),
     ],
     ids=str,
 )
@@ -458,9 +470,23 @@ def test_a_return_that_solves_a_task_must_be_a_number():
             Task("maze", Config(), value)
 
 
+def test_what_is_no_task_is_refused_by_name():
+    with pytest.raises(TypeError, match="`name` of a task must be text, got 5"):
+        Task(5, Config())
+    with pytest.raises(TypeError, match=r"`config` of maze must be a Config, got \{'a': 1\}"):
+        Task("maze", {"a": 1})
+
+
+def test_tasks_may_come_from_a_generator_and_seeds_be_of_numpy(small_study, tmp_path):
+    tasks = (task for task in small_study.tasks)
+    study = replace(small_study, tasks=tasks, seeds=np.int64(2), first_seed=np.int32(1))
+    assert [cell.seed for cell in cells_of(study, tmp_path / "runs")] == [1, 1, 2, 2]
+
+
 def finish(config):
     open_folder(config)
-    values = {"total_steps": config.run.total_steps}
+    versions = {"deep-curiosity": "1", "commit": None}
+    values = {"total_steps": config.run.total_steps, "versions": versions}
     (config.run.out / "summary.json").write_text(json.dumps(values))
 
 

@@ -10,7 +10,7 @@ from typing import Any
 from deep_curiosity.configuration import from_home
 from deep_curiosity.experiments.engines.base import send_along
 from deep_curiosity.experiments.search import Search
-from deep_curiosity.experiments.study import Study
+from deep_curiosity.experiments.study import Study, can_be_folder
 from deep_curiosity.requirements import require
 
 FOLDERS = {
@@ -87,9 +87,18 @@ def _load_entry(path: Path, table: str, wanted: str) -> tuple[str, Any]:
     name_of, kind = {"STUDIES": ("study", Study), "SEARCHES": ("search", Search)}[table]
     module = _load_module(path, name_of)
     entries = getattr(module, table, None)
-    if not isinstance(entries, dict) or not all(isinstance(e, kind) for e in entries.values()):
+    if not (
+        isinstance(entries, dict)
+        and entries
+        and all(isinstance(entry, kind) for entry in entries.values())
+    ):
         raise ValueError(
             f"`{name_of}` must hold {table}, each a {kind.__name__} by its name, got {path}."
+        )
+    if wrong := [name for name in entries if not can_be_folder(name)]:
+        raise ValueError(
+            f"`{name_of}` must hold {table} by names that folders can have, got {wrong[0]!r} in "
+            f"{path}."
         )
     name = wanted or (next(iter(entries)) if len(entries) == 1 else "")
     if name not in entries:
@@ -103,6 +112,8 @@ def _load_module(path: Path, name: str) -> ModuleType:
     """Import a file of the user's own."""
     if not path.is_file():
         raise FileNotFoundError(f"`{name}` must name a file that exists, got {path}.")
+    if "." in path.stem:
+        raise ValueError(f"`{name}` must be a file whose name has no point but .py, got {path}.")
     sys.path.insert(0, str(path.resolve().parent))  # for what it imports itself
     try:
         module = import_module(path.stem)

@@ -116,3 +116,27 @@ def test_a_file_is_found_below_the_home_folder(tmp_path, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path))
     (tmp_path / "study_at_home.py").write_text(OWN)
     assert find_study("~/study_at_home.py:own")[0] == "own"
+
+
+@pytest.mark.parametrize(
+    ("name", "table", "message"),
+    [
+        (
+            "up.py",
+            "{'../../up': STUDY}",
+            r"names that folders can have, got '\.\./\.\./up' in .*up",
+        ),
+        ("number.py", "{1: STUDY}", "`study` must hold STUDIES by names .*, got 1 in .*number"),
+        ("nothing.py", "{}", r"must hold STUDIES, each a Study by its name, got .*nothing\.py"),
+        (
+            "my.study.py",
+            "{'a': STUDY}",
+            r"`study` must be a file whose name .* got .*my\.study\.py",
+        ),
+    ],
+)
+def test_a_file_whose_name_or_studies_names_cannot_be_is_refused(tmp_path, name, table, message):
+    path = tmp_path / f"refused_{name}"
+    path.write_text(f"{OWN}STUDY = STUDIES['own']\nSTUDIES = {table}\n")
+    with pytest.raises(ValueError, match=message):
+        find_study(str(path))
