@@ -12,6 +12,7 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from deep_curiosity.experiments.figures import draw_curve, estimate_curve, label_beside, plain
+from deep_curiosity.experiments.runs import check_steps
 from deep_curiosity.experiments.study import Row
 from deep_curiosity.experiments.tables import output_path
 from deep_curiosity.training.callbacks import CALLBACK
@@ -103,8 +104,10 @@ def read_runs(folders: Sequence[Path], group_by: Sequence[str] = ()) -> list[Run
             differ, but for the seed and where and how long they ran.
 
     Raises:
-        ValueError: If a setting to group by is none of the runs', or none has any row.
+        ValueError: If a setting to group by is none of the runs', or named twice, or none has any
+            row.
     """
+    _check_named_once("group_by", group_by)
     found = {folder: own for folder in folders if (own := _read_run(folder)) is not None}
     if not found:
         raise ValueError(f"`runs` must have logged something, got {len(folders)} that have not.")
@@ -118,6 +121,11 @@ def read_runs(folders: Sequence[Path], group_by: Sequence[str] = ()) -> list[Run
         RunCurves(folder, _task_of(values), _agent_of(values, names), rows, _was_stopped(folder))
         for folder, (values, rows) in found.items()
     ]
+
+
+def _check_named_once(name: str, values: Sequence[str]) -> None:
+    if len(set(values)) < len(values):
+        raise ValueError(f"`{name}` must be named once each, got {', '.join(values)}.")
 
 
 def _each_once(found: dict[Path, FoundRun]) -> dict[Path, FoundRun]:
@@ -174,13 +182,28 @@ def _read_run(folder: Path) -> FoundRun | None:
     """Settings and rows of a run; `None` where there is none that could be drawn."""
     try:
         values = read_values(folder)
-        if missing := [name for name in OF_EVERY_RUN if name not in values]:
-            raise ValueError(f"`{CONFIG}` must be that of a run, got one without {missing[0]}.")
+        _check_settings(values)
         rows = _numbers(folder)
     except (OSError, ValueError) as error:
         warnings.warn(f"{folder} is passed over: {error}", stacklevel=2)
         return None
     return (values, rows) if rows else None
+
+
+def _check_settings(values: dict[str, Any]) -> None:
+    """Refuse settings that are those of no run.
+
+    Raises:
+        ValueError: Naming the first one that is wrong.
+    """
+    if missing := [name for name in OF_EVERY_RUN if name not in values]:
+        raise ValueError(f"`{CONFIG}` must be that of a run, got one without {missing[0]}.")
+    kinds: dict[str, type] = {**dict.fromkeys(OF_EVERY_RUN, str), "env_kwargs": dict}
+    for name, kind in kinds.items():
+        if not isinstance(values.get(name, {}), kind):
+            raise ValueError(
+                f"`{CONFIG}` must be that of a run, got one whose {name} is {values[name]!r}."
+            )
 
 
 def _differing(settings: Sequence[dict[str, Any]]) -> list[str]:
@@ -217,18 +240,18 @@ def _numbers(folder: Path) -> list[dict[str, float]]:
     whole, end, torn = text.rpartition("\n")
     if torn:
         warnings.warn(f"{path} is read but for its last row, which is cut off.", stacklevel=2)
-    return [
-        {name: float(value or "nan") for name, value in row.items()}
-        for row in parse_progress(whole + end, source=str(path))
-    ]
+    rows = parse_progress(whole + end, source=str(path))
+    check_steps(rows, source=str(path))
+    return [{name: float(value or "nan") for name, value in row.items()} for row in rows]
 
 
 def known_tags(runs: Sequence[RunCurves], tags: Sequence[str]) -> list[str]:
     """The tags of which the runs have numbers; where none is named, the usual ones.
 
     Raises:
-        ValueError: If a tag is named that no run has, or no run has anything to draw.
+        ValueError: If a tag is named that no run has, or twice, or no run has anything to draw.
     """
+    _check_named_once("tags", tags)
     there = {
         tag: None
         for run in runs

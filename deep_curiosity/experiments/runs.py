@@ -76,7 +76,7 @@ def check_progress(config: Config, summary: dict[str, Any]) -> None:
     Raises:
         ValueError: Naming the file.
     """
-    rows, taken = read_progress(config.run.out), summary["total_steps"]
+    rows, taken = _read_rows(config.run.out), summary["total_steps"]
     if not rows and summary["evaluation_return"] is None:  # all steps broke: it has not learned
         return
     last = int(float(rows[-1]["step"])) if rows else 0
@@ -257,9 +257,31 @@ def measure_run(config: Config, summary: "Row") -> list["Row"]:
 def read_evaluations(folder: Path) -> list[tuple[int, float]]:
     """Step and mean return of every evaluation of a run since it has learned."""
     rows = [
-        (int(row["step"]), float(row[EVALUATION_TAG] or "nan")) for row in read_progress(folder)
+        (int(float(row["step"])), float(row[EVALUATION_TAG] or "nan"))
+        for row in _read_rows(folder)
     ]
     return [(step, value) for step, value in rows if math.isfinite(value)]
+
+
+def _read_rows(folder: Path) -> list[dict[str, str]]:
+    """Rows of progress.csv whose steps are whole numbers."""
+    rows = read_progress(folder)
+    check_steps(rows, source=str(folder / PROGRESS))
+    return rows
+
+
+def check_steps(rows: Sequence[dict[str, str]], *, source: str) -> None:
+    """Refuse rows of a step that is no whole number, such as infinity.
+
+    Raises:
+        ValueError: Naming the file and the row.
+    """
+    for number, row in enumerate(rows, 2):
+        if not float(row["step"]).is_integer():
+            raise ValueError(
+                f"`step` must be a whole number, got {row['step']} in row {number} of {source}, "
+                "which is damaged; --resume mends it from the checkpoint."
+            )
 
 
 def measure_area(config: Config, summary: "Row") -> list["Row"]:

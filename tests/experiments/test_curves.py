@@ -246,3 +246,36 @@ def test_a_policy_that_was_exported_is_no_run(folder):
     (folder / "exported" / "progress.csv").unlink()
     runs = read_runs(find_runs([folder]))
     assert {run.agent for run in runs} == {"curiosity", "none"} and len(runs) == 6
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"env_kwargs": None}, "env_kwargs is None"),
+        ({"env_id": 5}, "env_id is 5"),
+        ({"bonus": None}, "bonus is None"),
+    ],
+    ids=str,
+)
+def test_a_folder_whose_settings_are_those_of_no_run_is_passed_over(folder, changes, message):
+    path = folder / "PointMaze-none-0" / "config.json"
+    path.write_text(json.dumps(json.loads(path.read_text()) | changes))
+    with pytest.warns(UserWarning, match=rf"none-0 is passed over: .* whose {message}"):
+        assert len(read_runs(find_runs([folder]))) == 5
+
+
+def test_a_run_with_a_step_that_is_none_is_passed_over(folder):
+    path = folder / "PointMaze-none-0" / "progress.csv"
+    path.write_text(path.read_text() + "inf,3,,80\n")
+    message = (
+        r"`step` must be a whole number, got inf in row 4 of .*progress\.csv, which is damaged"
+    )
+    with pytest.warns(UserWarning, match=message):
+        assert len(read_runs(find_runs([folder]))) == 5
+
+
+def test_what_is_named_twice_is_refused(folder):
+    with pytest.raises(ValueError, match="`group_by` must be named once each, got bonus, bonus"):
+        read_runs(find_runs([folder]), ["bonus", "bonus"])
+    with pytest.raises(ValueError, match="`tags` must be named once each, got eval/return, eval/"):
+        known_tags(read_runs(find_runs([folder])), ["eval/return"] * 2)

@@ -79,6 +79,9 @@ def test_a_finished_run_that_has_lost_its_progress_is_none_to_measure(tiny):
     assert len(run_own(cell).curve) == 2
     whole = path.read_bytes()
     header, *rows = whole.splitlines(keepends=True)
+    path.write_bytes(whole.replace(b"\r\n40,", b"\r\ninf,"))
+    with pytest.raises(ValueError, match=r"`step` must be a whole .* inf .*progress\.csv, which"):
+        run_own(cell)
     for left in (b"", header[:20], header, header + rows[0]):
         path.write_bytes(left)
         with pytest.raises(
