@@ -26,6 +26,7 @@ from deep_curiosity.experiments.statistics import probability_of_improvement
 from deep_curiosity.experiments.study import CHOSEN, Cell, Result, Row, Study
 from deep_curiosity.experiments.tables import (
     check_outputs,
+    check_runs,
     is_missing,
     markdown_table,
     one_for_each_run,
@@ -51,6 +52,8 @@ MORE_IS_BETTER = ("return", "area", "coverage", "success_rate")
 
 SOLVED = ("solved", "solved_step")
 """Columns of every row, whatever a study measures."""
+OF_TABLES, OF_CURVES = ",seed,solved,", ",seed,step,"
+"""Columns by which a table of runs is told from one of curves."""
 ENDINGS = (".csv", "_curves.csv", ".md", ".png", "_together.png")
 """Of the files that a study writes: tables, summary, figure."""
 
@@ -153,6 +156,7 @@ def run_study(
 
     Raises:
         FileExistsError: If a file at `out` is none that a study has written.
+        OSError: If nothing can be written at `out`, or in `runs`.
         ValueError: If the study names a column that no run can have; or one that a run which ends
             does not have, which can be read when the study is run again with other columns.
         KeyboardInterrupt: If it is stopped, once what came is written.
@@ -161,6 +165,7 @@ def run_study(
     check_guarded("run_study")
     check_out(study, out)
     check_measure(study)
+    check_runs(runs)
     cells = cells_of(study, runs)
     if engine is None:
         engine = LocalEngine(workers) if executor is None else ExecutorEngine(executor)
@@ -272,13 +277,29 @@ class Records:
 
 
 def check_out(study: Study, out: Path) -> None:
-    """Refuse to write over files that are none of a study's.
+    """Refuse to write over files that are none of a study's, or another one's by their names.
 
     Raises:
         FileExistsError: Naming them.
     """
     owner = "a study, which has a table of tasks"
     check_outputs(out, ENDINGS, column="task", owner=owner)
+    _refuse_other(output_path(out, ".csv"), "the curves", OF_CURVES)
+    if study.curves:
+        _refuse_other(output_path(out, "_curves.csv"), "the table", OF_TABLES)
+
+
+def _refuse_other(path: Path, what: str, columns: str) -> None:
+    """Refuse a CSV of another study, which has such columns.
+
+    Raises:
+        FileExistsError: Naming it.
+    """
+    if path.is_file() and columns in path.read_text(errors="replace").partition("\n")[0]:
+        raise FileExistsError(
+            f"`out` must name new files, or those of this study, got {path}, which holds {what} "
+            "of another; choose another path."
+        )
 
 
 def check_columns(study: Study, result: Result) -> None:

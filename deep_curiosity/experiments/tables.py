@@ -56,7 +56,8 @@ def check_outputs(out: Path, endings: Iterable[str], *, column: str, owner: str)
         FileExistsError: Naming the files.
         OSError: If nothing can be written there.
     """
-    _check_writable(out)
+    rule = f"`out` must name files in a folder that can be written to, got {out}"
+    _check_writable(out.parent, rule)
     there = [path for end in endings if (path := output_path(out, end)).exists()]
     table = output_path(out, ".csv")
     own = table.is_file() and table.read_text(errors="replace").startswith(f"{column},")
@@ -67,16 +68,23 @@ def check_outputs(out: Path, endings: Iterable[str], *, column: str, owner: str)
         )
 
 
-def _check_writable(out: Path) -> None:
+def check_runs(runs: Path) -> None:
+    """Make the folder of all runs, or refuse one where none could be.
+
+    Raises:
+        OSError: If nothing can be written there.
+    """
+    _check_writable(runs, f"`runs` must be a folder that can be written to, got {runs}")
+
+
+def _check_writable(folder: Path, rule: str) -> None:
     """Refuse a place where nothing can be written, before anything is computed."""
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        with TemporaryFile(dir=out.parent):
+        folder.mkdir(parents=True, exist_ok=True)
+        with TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        raise type(error)(
-            f"`out` must name files in a folder that can be written to, got {out}: {error}"
-        ) from error
+        raise type(error)(f"{rule}: {error}") from error
 
 
 def check_page(folder: Path, title: str) -> None:

@@ -361,6 +361,11 @@ def measured(cell):
     return Result([{"evaluation_return": 1.0}], [], {"version": "1"})
 
 
+def measured_with_curve(cell):
+    curve = [{"step": 20, "evaluation_return": 1.0}]
+    return Result([{"evaluation_return": 1.0}], curve, {"version": "1"})
+
+
 @pytest.fixture
 def quick_study(small_study):
     """The study of runs without training."""
@@ -539,3 +544,31 @@ def test_an_evaluation_without_a_return_solves_nothing():
 def test_the_names_of_the_tables_columns_can_be_labels(tmp_path, make_rows):
     study = Study([Task("maze", Config())], {"a": {}}, label="column", columns=("area",))
     assert "| maze | a | 1 of 2 |" in grid.summary_of(study, make_rows(study, len))
+
+
+def test_a_folder_where_no_run_can_be_is_refused_once_and_beforehand(quick_study, tmp_path):
+    (tmp_path / "file").touch()
+    places = {"runs": tmp_path / "file" / "runs", "out": tmp_path / "out"}
+    message = r"`runs` must be a folder that can be written to, got .*file/runs: "
+    with pytest.raises(OSError, match=message):
+        run_study(quick_study, **places, engine=LocalEngine(1))
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+
+
+def test_neither_curves_nor_table_of_another_study_are_written_over(quick_study, tmp_path):
+    study = replace(quick_study, run=measured_with_curve, curves=True)
+    for _ in range(2):
+        assert run_quickly(study, tmp_path / "mine") == 0  # over its own
+    before = (tmp_path / "mine_curves.csv").read_bytes()
+    with pytest.raises(
+        FileExistsError, match=r"got .*mine_curves\.csv, which holds the curves of"
+    ):
+        run_quickly(quick_study, tmp_path / "mine_curves")
+    assert (tmp_path / "mine_curves.csv").read_bytes() == before
+    assert run_quickly(quick_study, tmp_path / "other") == 0
+    assert run_quickly(quick_study, tmp_path / "other_curves") == 0
+    assert run_quickly(quick_study, tmp_path / "other") == 0  # which has no curves
+    with pytest.raises(
+        FileExistsError, match=r"got .*other_curves\.csv, which holds the table of"
+    ):
+        run_quickly(study, tmp_path / "other")

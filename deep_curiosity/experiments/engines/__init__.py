@@ -9,6 +9,7 @@ from deep_curiosity.experiments.engines.base import Engine
 from deep_curiosity.experiments.engines.local import LocalEngine
 from deep_curiosity.experiments.engines.ray import RayEngine
 from deep_curiosity.experiments.engines.slurm import SlurmEngine
+from deep_curiosity.experiments.tables import check_runs
 from deep_curiosity.training.command_line import read_settings
 
 
@@ -51,8 +52,9 @@ def make_engine(args: EngineArgs, runs: Path) -> Engine:
     try:
         if args.engine == "ray":
             return RayEngine(args.address, **options)
+        check_runs(runs)
         return SlurmEngine(runs / "slurm", **options)
-    except ImportError:
+    except (ImportError, OSError):
         raise
     except Exception as error:  # each package has kinds of its own for what it does not take
         name = "engine_options" if options else "address"
