@@ -22,6 +22,7 @@ from urllib.parse import quote
 
 import numpy as np
 import optuna
+from optuna.exceptions import StorageInternalError
 from optuna.trial import TrialState
 from sqlalchemy import URL
 from sqlalchemy.exc import SQLAlchemyError
@@ -34,7 +35,7 @@ from deep_curiosity.experiments.progress import latest_step
 from deep_curiosity.experiments.runs import RunStoppedError, run_once
 from deep_curiosity.experiments.search import Search, check_out
 from deep_curiosity.experiments.statistics import interquartile_mean
-from deep_curiosity.experiments.tables import output_path, write_table
+from deep_curiosity.experiments.tables import check_runs, output_path, write_table
 from deep_curiosity.experiments.workers import check_guarded
 from deep_curiosity.training.config import Config
 from deep_curiosity.training.interruption import terminated_like_interrupted
@@ -85,6 +86,7 @@ def tune(
     Raises:
         FileExistsError: If a file at `out` is none that a search has written.
         LeaseError: If another process searches in `runs`.
+        OSError: If nothing can be written at `out`, or in `runs`.
         RuntimeError: If a script calls it that a worker reads anew.
         ValueError: If a number is below 1, or `storage` cannot be opened.
     """
@@ -116,7 +118,7 @@ def _alone(runs: Path) -> Iterator[None]:
     Raises:
         LeaseError: If another one is at them.
     """
-    runs.mkdir(parents=True, exist_ok=True)
+    check_runs(runs)
     try:
         lease = Lease(runs)
     except LeaseError as error:
@@ -147,7 +149,7 @@ def open_study(
     runs.mkdir(parents=True, exist_ok=True)
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     study = optuna.create_study(
-        storage=_open_storage(_url_of(runs / "trials.db") if storage is None else storage),
+        storage=_open_storage(storage, runs / "trials.db"),
         study_name=runs.name,
         direction="maximize",
         pruner=_make_pruner(search, pruner),
@@ -180,11 +182,17 @@ def _url_of(path: Path) -> str:
     return url.render_as_string()
 
 
-def _open_storage(storage: str) -> optuna.storages.RDBStorage:
+def _open_storage(storage: str | None, file: Path) -> optuna.storages.RDBStorage:
+    """The database of a URL, or, without one, that in a file."""
     try:
-        return optuna.storages.RDBStorage(storage)
-    except (SQLAlchemyError, ValueError) as error:
-        reason = str(error).partition("\n")[0]
+        return optuna.storages.RDBStorage(_url_of(file) if storage is None else storage)
+    except (ImportError, SQLAlchemyError, StorageInternalError, ValueError) as error:
+        reason = str(error.__cause__ or error).partition("\n")[0].rstrip(".")
+        if storage is None:
+            raise ValueError(
+                "`runs` must hold trials that can be read, or none, got "
+                f"{file}: {reason}; move it away, or bring it back from a copy."
+            ) from error
         raise ValueError(
             "`storage` must be the URL of a database that can be opened, such as "
             f"sqlite:///trials.db, got {storage!r}: {reason}."

@@ -275,7 +275,10 @@ def test_a_trial_that_failed_and_was_cut_off_has_failed_when_the_search_goes_on(
     assert [trial.state.name for trial in search_in(tmp_path, trials=1).trials] == ["FAIL"]
 
 
-@pytest.mark.parametrize("storage", ["garbage", "", "garbage://x", "sqlite:////no/such/x.db"])
+STORAGES = ["garbage", "", "garbage://x", "sqlite:////no/such/x.db", "mysql://x/y"]
+
+
+@pytest.mark.parametrize("storage", STORAGES)
 def test_a_storage_that_cannot_be_opened_is_refused(search_in, calls, tmp_path, storage):
     with pytest.raises(
         ValueError, match=f"`storage` must be the URL .*, got {storage!r}: "
@@ -445,3 +448,23 @@ def test_a_search_that_another_process_is_at_is_left_to_it(search_in, calls, tmp
     lease.release()
     assert len(search_in(tmp_path, trials=1).trials) == 1
     assert not [*(tmp_path / "runs").glob("lease.*")]
+
+
+@pytest.mark.parametrize("left", [b"garbage" * 99, None, b""], ids=["other", "cut", "empty"])
+def test_trials_that_cannot_be_read_are_named_by_their_file(search, tmp_path, left):
+    tuner.open_study(search, tmp_path / "runs")
+    path = tmp_path / "runs" / "trials.db"
+    path.write_bytes(path.read_bytes()[:5_000] if left is None else left)
+    if left == b"":  # as if there were none
+        assert len(tuner.open_study(search, tmp_path / "runs").trials) == 1
+        return
+    message = r"`runs` must hold trials that can be read, or none, got .*runs/trials\.db: "
+    with pytest.raises(ValueError, match=message):
+        tuner.open_study(search, tmp_path / "runs")
+
+
+def test_a_folder_where_no_trial_can_be_is_refused(search_in, calls, tmp_path):
+    (tmp_path / "runs").touch()
+    with pytest.raises(OSError, match="`runs` must be a folder that can be written to, got "):
+        search_in(tmp_path)
+    assert not calls
