@@ -107,7 +107,7 @@ class ReplayBuffer:
                 row = np.concatenate(fields, axis=None, dtype=np.float32, casting="same_kind")
             fits = [*map(np.size, fields)] == self._widths and bool(np.isfinite(row).all())
             fits = fits and terminated in (0, 1) and truncated in (0, 1)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, RuntimeError):
             fits = False
         if not fits:
             columns = zip(Transition._fields, fields, self._widths, strict=True)
@@ -157,7 +157,7 @@ class ReplayBuffer:
                 rows = np.concatenate(columns, axis=1, dtype=np.float32, casting="same_kind")
             fits = [*map(np.shape, fields)] == shapes and bool(np.isfinite(rows).all())
             fits = fits and columns[-2].dtype == columns[-1].dtype == bool
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, RuntimeError):
             fits = False
         if not fits:
             named = zip(Transition._fields, fields, shapes, strict=True)
@@ -601,16 +601,19 @@ def as_float32(name: str, value: Any) -> np.ndarray:
     """Real numbers as float32; those in an array of objects as well.
 
     Raises:
-        TypeError: If they are text, complex numbers, hidden by a mask, or no numbers at all.
+        TypeError: If they are text, complex numbers, hidden by a mask, no numbers at all, or a
+            tensor that NumPy cannot read.
         ValueError: If there is not the same number of them in every row, or one is too large.
     """
+    if isinstance(value, Tensor) and (value.requires_grad or not value.is_cpu):
+        raise TypeError(f"`{name}` must be detached and on the CPU, got {value!r}.")
     try:
         array = np.asarray(value)
         if array.dtype.kind not in "biufO" or np.ma.is_masked(value):
             raise TypeError
         with np.errstate(over="raise"):
             return array.astype(np.float32)
-    except TypeError:
+    except (TypeError, RuntimeError):
         raise TypeError(f"`{name}` must be of real numbers, got {value!r}.") from None
     except ArithmeticError:
         raise ValueError(f"`{name}` must be finite in float32, got {value!r}.") from None
@@ -620,7 +623,10 @@ def as_float32(name: str, value: Any) -> np.ndarray:
 
 def _count_rows(observation: Any) -> int:
     """Number of rows, at least 1."""
-    shape = np.shape(observation)
+    try:
+        shape = np.shape(observation)
+    except (TypeError, ValueError, RuntimeError):
+        shape = as_float32("observation", observation).shape  # which says what is wrong
     if len(shape) < 2 or not shape[0]:
         raise ValueError(
             "`observation` must have shape (num_rows, observation_dim) with at least 1 row, "
@@ -631,7 +637,10 @@ def _count_rows(observation: Any) -> int:
 
 def _as_sound(sound: Any, num_rows: int) -> np.ndarray:
     """Which rows are steps to learn from."""
-    flags = np.asarray(sound)
+    try:
+        flags = np.asarray(sound)
+    except ValueError:
+        raise ValueError(f"`sound` must be an array of bool, got {sound!r}.") from None
     if flags.dtype != bool:
         raise TypeError(f"`sound` must be an array of bool, got {flags.dtype}.")
     if flags.shape != (num_rows,):

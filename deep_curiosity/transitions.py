@@ -196,6 +196,17 @@ def is_number(value: Any) -> bool:
         return False
 
 
+def check_flags(**flags: Any) -> None:
+    """Reject what is no answer to yes or no.
+
+    Raises:
+        TypeError: Naming the first one that is neither True nor False.
+    """
+    for name, flag in flags.items():
+        if not isinstance(flag, bool):
+            raise TypeError(f"`{name}` must be True or False, got {flag!r}.")
+
+
 def is_whole_number(value: Any) -> bool:
     """Whether a value is a whole number; `True` and `False` are none."""
     return isinstance(value, numbers.Integral) and not isinstance(value, bool)

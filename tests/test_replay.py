@@ -570,6 +570,12 @@ BAD_VALUES = [
     ("reward", "a", TypeError, "`reward` must be of real numbers, got 'a'"),
     ("reward", "1", TypeError, "`reward` must be of real numbers, got '1'"),
     ("action", [0.0, [1.0]], ValueError, "`action` must be an array of real numbers, got"),
+    (
+        "action",
+        torch.zeros(2, requires_grad=True),
+        TypeError,
+        r"`action` must be detached and on the CPU, got .*requires_grad=True",
+    ),
 ]
 
 
@@ -601,6 +607,25 @@ def test_flags_may_be_written_as_numbers(one):
             ValueError,
             r"`observation` .* at least 1 row, got \(0,",
         ),
+        (
+            "observation",
+            [[0.0] * 3, [0.0], [0.0] * 3],
+            ValueError,
+            r"`observation` must be an array of real numbers, got \[\[0.0",
+        ),
+        (
+            "next_observation",
+            [[0.0] * 3, [0.0], [0.0] * 3],
+            ValueError,
+            "`next_observation` must be an array of real numbers, got",
+        ),
+        (
+            "observation",
+            torch.zeros(3, 3, requires_grad=True),
+            TypeError,
+            "`observation` must be detached and on the CPU, got",
+        ),
+        ("sound", [[True], [True, False]], ValueError, "`sound` must be an array of bool, got"),
         ("observation", 1.0, ValueError, r"`observation` must have shape .* got \(\)"),
         ("sound", np.array([True]), ValueError, r"`sound` must have shape \(3,\), got \(1,\)"),
         ("sound", np.ones(3), TypeError, "`sound` must be an array of bool, got float64"),

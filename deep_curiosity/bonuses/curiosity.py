@@ -96,6 +96,7 @@ class CuriosityBonus(Bonus):
         weight_learning_rate: Step size of the log weight, for each call of `observe`.
 
     Raises:
+        TypeError: If an argument is of another kind.
         ValueError: If a count or a scale is out of range, a part unknown, an entry is none of what
             is predicted, or the marginal has another length than what is of interest.
 
@@ -125,6 +126,8 @@ class CuriosityBonus(Bonus):
     ) -> None:
         super().__init__()
         check_counts(refresh_interval=refresh_interval)
+        _check_kind("dynamics", dynamics, DynamicsEnsemble)
+        _check_kind("marginal", marginal, NextStateMarginal)
         self.observation_dim = dynamics.observation_dim
         self.action_dim = dynamics.action_dim
         self.coefficients = coefficients_of(parts)
@@ -302,11 +305,17 @@ class CuriosityBonus(Bonus):
             action: What is done there.
             noise: Standard normal numbers for each component of each member, weighed by its
                 probability; sampled afresh when `None`.
+
+        Raises:
+            RuntimeError: If nothing has been observed yet.
+            TypeError: If an argument has the wrong kind.
+            ValueError: If one has the wrong shape, or holds what cannot be computed with.
         """
         prediction = self._predict(observation, action)
         loc, log_var, log_weight = prediction
         if noise is None:
             noise = torch.randn(NUM_SAMPLES, *loc.shape, dtype=loc.dtype, device=loc.device)
+        _check_noise(noise, loc)
         next_state = prediction.component_samples(noise)  # samples members batch components dim
         log_marginal = self.marginal.log_density(next_state)
         log_members = torch.logsumexp(  # samples members others batch components
@@ -455,17 +464,26 @@ def check_entries(entries: Sequence[int], dim: int, name: str = "features") -> l
         name: The argument that they were given by.
 
     Raises:
-        TypeError: If one is no whole number.
+        TypeError: If they are no sequence, or one is no whole number.
         ValueError: If there is none, or one is no entry of `dim` or named twice.
     """
+    try:
+        entries = list(entries)
+    except TypeError:
+        raise TypeError(f"`{name}` must be whole numbers in a list, got {entries!r}.") from None
     for index in entries:
         if not is_whole_number(index):
             raise TypeError(f"`{name}` must be whole numbers, got {index!r}.")
     valid = all(-dim <= index < dim for index in entries)
     chosen = [index % dim for index in entries]
     if not chosen or not valid or len(set(chosen)) < len(chosen):
-        raise ValueError(f"`{name}` must name different entries of {dim}, got {list(entries)}.")
+        raise ValueError(f"`{name}` must name different entries of {dim}, got {entries}.")
     return chosen
+
+
+def _check_kind(name: str, value: Any, kind: type) -> None:
+    if not isinstance(value, kind):
+        raise TypeError(f"`{name}` must be a {kind.__name__}, got {type(value).__name__}.")
 
 
 def _check_marginal(marginal: NextStateMarginal, dim: int) -> None:
@@ -476,12 +494,19 @@ def _check_marginal(marginal: NextStateMarginal, dim: int) -> None:
         )
 
 
+def _check_noise(noise: Any, loc: Tensor) -> None:
+    _check_kind("noise", noise, Tensor)
+    if noise.shape[1:] != loc.shape or len(noise) == 0:
+        shape = ", ".join(map(str, loc.shape))
+        raise ValueError(f"`noise` must have shape (samples, {shape}), got {tuple(noise.shape)}.")
+
+
 def _make_tuned_weight(
     tune_weight: Literal["past"] | float | None, learning_rate: float
 ) -> TunedWeight | None:
     if tune_weight is None:
         return None
-    if tune_weight != "past" and not is_number(tune_weight):
+    goal = None if isinstance(tune_weight, str) and tune_weight == "past" else tune_weight
+    if goal is not None and not is_number(goal):
         raise ValueError(f"`tune_weight` must be 'past', a number or None, got {tune_weight!r}.")
-    goal = None if tune_weight == "past" else tune_weight
     return TunedWeight(goal=goal, learning_rate=learning_rate)

@@ -61,7 +61,7 @@ class DynamicsEnsemble(nn.Module):
             learns must see to that itself. Both are called once here, in float32 on the CPU.
 
     Raises:
-        TypeError: If `features` gives no tensor of the dtype it was given.
+        TypeError: If `features` cannot be called, or gives no tensor of the dtype it was given.
         ValueError: If `num_members` is below 2, a count, dimension or the floor is not positive,
             a choice is unknown, or `features` gives no batch of vectors.
     """
@@ -331,7 +331,7 @@ class DynamicsEnsemble(nn.Module):
 
 def _check_units(noise_floor: float, whitening: str) -> None:
     """Reject a floor that is no width, and a whitening that there is not."""
-    if whitening not in WHITENINGS:
+    if whitening not in [*WHITENINGS]:  # a list: what cannot be hashed is none either
         choices = ", ".join(WHITENINGS)
         raise ValueError(f"`whitening` must be one of {choices}, got {whitening!r}.")
     check_positive(noise_floor=noise_floor)
@@ -356,9 +356,11 @@ def count_features(features: Features, observation_dim: int) -> int:
     """Length of what `features` makes of an observation, found by calling it.
 
     Raises:
-        TypeError: If it makes no tensor of the dtype of the observations.
+        TypeError: If it cannot be called, or makes no tensor of the dtype of the observations.
         ValueError: If it makes no batch of vectors.
     """
+    if not callable(features):
+        raise TypeError(f"`features` must be callable, got {features!r}.")
     observation = torch.zeros(2, observation_dim)
     value: object = features(observation)
     if not isinstance(value, Tensor) or value.dtype != observation.dtype:

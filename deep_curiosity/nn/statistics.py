@@ -8,7 +8,13 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor, nn
 
-from deep_curiosity.transitions import LARGEST, check_counts, check_number_kind, is_number
+from deep_curiosity.transitions import (
+    LARGEST,
+    check_counts,
+    check_flags,
+    check_number_kind,
+    is_number,
+)
 
 VARIANCE_FLOOR = 1e-8  # a feature that never moves is whitened by 1e-4 of its unit, not by zero
 NUM_DRAWN = 2_048  # rows: an interquartile range of so many is right to 3 %
@@ -351,7 +357,7 @@ class Standardization(nn.Module):
         scale: Divide by the running standard deviation; without it the value keeps its unit.
 
     Raises:
-        TypeError: If `weight` is no number.
+        TypeError: If `weight` is no number, or another argument neither True nor False.
         ValueError: If `weight` is negative or not finite.
     """
 
@@ -360,6 +366,7 @@ class Standardization(nn.Module):
         if not (is_number(weight) and weight >= 0):
             check_number_kind(weight=weight)
             raise ValueError(f"`weight` must be finite and not negative, got {weight}.")
+        check_flags(center=center, scale=scale)
         self.weight = float(weight)  # torch takes no large whole number
         self.center = center
         self.scale = scale

@@ -7,7 +7,7 @@ import pytest
 import torch
 from torch import nn
 
-from deep_curiosity.bonuses.curiosity import CuriosityBonus, Decomposition
+from deep_curiosity.bonuses.curiosity import CuriosityBonus, Decomposition, check_entries
 from deep_curiosity.bonuses.decomposition import PARTS
 from deep_curiosity.bonuses.dynamics import DynamicsEnsemble
 from deep_curiosity.bonuses.marginal import NextStateMarginal
@@ -892,6 +892,46 @@ def test_a_marginal_of_another_length_is_rejected():
         ValueError, match=r"`marginal` must be over the 1 features .*got one over 3"
     ):
         CuriosityBonus(dynamics, NextStateMarginal(3), entries=(0,))
+
+
+def parts():
+    return {"dynamics": DynamicsEnsemble(3, 2, hidden_dims=(8,)), "marginal": NextStateMarginal(3)}
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"dynamics": None}, TypeError, "`dynamics` must be a DynamicsEnsemble, got NoneType"),
+        ({"marginal": nn.ReLU()}, TypeError, "`marginal` must be a NextStateMarginal, got ReLU"),
+        ({"entries": 0}, TypeError, "`entries` must be whole numbers in a list, got 0"),
+        ({"entries": "01"}, TypeError, "`entries` must be whole numbers, got '0'"),
+        ({"tune_weight": np.array([1, 2])}, ValueError, r"`tune_weight` must be .*, got array"),
+        ({"tune_weight": "future"}, ValueError, "`tune_weight` must be .*, got 'future'"),
+        ({"weight": torch.tensor(0.1)}, TypeError, "`weight` must be an int or a float, got"),
+        ({"center": "no"}, TypeError, "`center` must be True or False, got 'no'"),
+        ({"scale": None}, TypeError, "`scale` must be True or False, got None"),
+    ],
+)
+def test_parts_of_another_kind_are_rejected_by_name(options, error, message):
+    jaxtyping.config.update("jaxtyping_disable", True)  # whose own error would come first
+    with pytest.raises(error, match=message):
+        CuriosityBonus(**parts() | options)
+
+
+def test_entries_may_be_given_once():
+    jaxtyping.config.update("jaxtyping_disable", True)  # which takes sequences alone
+    assert check_entries(iter([0, -1]), 3) == check_entries(np.array([0, -1]), 3) == [0, 2]
+
+
+@pytest.mark.parametrize("shape", [(16,), (4, 3, 31, 1, 3), (0, 3, 32, 1, 3), ()])
+def test_noise_of_another_shape_is_rejected(shape):
+    jaxtyping.config.update("jaxtyping_disable", True)  # whose own error would come first
+    bonus, batch = watchful_bonus()
+    rule = r"`noise` must have shape \(samples, 3, 32, 1, 3\), got"
+    with pytest.raises(ValueError, match=rule):
+        bonus.decompose(batch.observation, batch.action, torch.zeros(shape))
+    with pytest.raises(TypeError, match="`noise` must be a Tensor, got list"):
+        bonus.decompose(batch.observation, batch.action, [0.0])
 
 
 def test_the_default_bonus_is_that_of_its_parts():

@@ -443,6 +443,19 @@ def test_heavy_tails_leave_the_resolution_where_it_is_if_whitening_is_robust():
     assert nearest["robust"] > 1 > 0.3 > nearest["moments"]
 
 
+@pytest.mark.parametrize("features", [5, "mean", (0, 1)])
+def test_features_that_cannot_be_called_are_rejected(features):
+    jaxtyping.config.update("jaxtyping_disable", True)  # whose own error would come first
+    with pytest.raises(TypeError, match="`features` must be callable, got"):
+        DynamicsEnsemble(3, 2, hidden_dims=(8,), features=features)
+
+
+def test_a_whitening_that_cannot_be_hashed_is_rejected():
+    jaxtyping.config.update("jaxtyping_disable", True)  # whose own error would come first
+    with pytest.raises(ValueError, match=r"`whitening` must be one of .*, got \['x'\]"):
+        DynamicsEnsemble(3, 2, hidden_dims=(8,), whitening=["x"])
+
+
 def test_a_whitening_that_is_none_is_rejected():
     jaxtyping.config.update("jaxtyping_disable", True)  # whose own error would come first
     with pytest.raises(ValueError, match=r"`whitening` must be one of .*saturating, got 'pca'"):

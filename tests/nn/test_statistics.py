@@ -284,6 +284,14 @@ def test_a_weight_must_be_a_number(weight):
         Standardization(weight=weight, center=True, scale=True)
 
 
+@pytest.mark.parametrize("flag", ["no", None, 1])
+@pytest.mark.parametrize("name", ["center", "scale"])
+def test_a_switch_is_on_or_off(name, flag):
+    jaxtyping.config.update("jaxtyping_disable", True)  # whose own error would come first
+    with pytest.raises(TypeError, match=f"`{name}` must be True or False, got {flag!r}"):
+        Standardization(**{"weight": 0.1, "center": True, "scale": True} | {name: flag})
+
+
 def test_a_weight_may_be_any_whole_number():
     jaxtyping.config.update("jaxtyping_disable", True)  # which takes no whole numbers for others
     huge = Standardization(weight=10**30, center=False, scale=False)

@@ -9,7 +9,7 @@ from torch import Tensor
 from deep_curiosity.bonuses.baselines.base import BaselineBonus
 from deep_curiosity.bonuses.baselines.disagreement import PointEnsemble, change_of
 from deep_curiosity.bonuses.weight_tuning import TunedWeight
-from deep_curiosity.transitions import Transition, check_positive
+from deep_curiosity.transitions import Transition, check_flags, check_positive
 
 
 class InformationGainBonus(BaselineBonus):
@@ -65,6 +65,7 @@ class InformationGainBonus(BaselineBonus):
             refresh_interval=refresh_interval,
         )
         check_positive(noise_std=noise_std)
+        check_flags(tune_weight=tune_weight)
         self.noise_std = float(noise_std)
         self.asks_policy = tune_weight
         self.tuned_weight = TunedWeight(learning_rate=weight_learning_rate)

@@ -1,5 +1,6 @@
 import math
 
+import jaxtyping
 import pytest
 import torch
 
@@ -57,6 +58,12 @@ def test_the_weight_stays_without_a_policy_or_where_it_is_not_tuned():
 def test_one_member_cannot_disagree():
     with pytest.raises(ValueError, match="`num_members` must be at least 2"):
         InformationGainBonus(3, 2, num_members=1)
+
+
+def test_a_weight_is_tuned_or_not():
+    jaxtyping.config.update("jaxtyping_disable", True)  # whose own error would come first
+    with pytest.raises(TypeError, match="`tune_weight` must be True or False, got 'no'"):
+        InformationGainBonus(3, 2, tune_weight="no")
 
 
 def test_noise_without_width_is_rejected():
