@@ -62,6 +62,7 @@ def pretended(monkeypatch):
             return Reference()
 
     ray = SimpleNamespace(
+        __spec__=object(),
         is_initialized=lambda: True,
         remote=lambda function: Task(),
         cluster_resources=lambda: {"CPU": 8.0, "GPU": 2.0},
