@@ -97,7 +97,7 @@ def test_it_is_a_bonus(bonus):
     assert isinstance(bonus, Bonus)
 
 
-@pytest.mark.parametrize("batch", [1, 7])
+@pytest.mark.parametrize("batch", [0, 1, 7])
 def test_each_pair_has_one_finite_bonus(bonus, batch):
     value = compute(bonus, random_transition(batch))
     assert value.shape == (batch,) and value.isfinite().all() and value.dtype == torch.float32

@@ -42,7 +42,10 @@ class PointEnsemble(nn.Module):
     ) -> Float[Tensor, "batch out_features"]:
         """Variance over members of each whitened prediction; gradients pass to the features."""
         with frozen(self):
-            return self.network(features).var(0, correction=0)
+            prediction = self.network(features)
+        if len(features) == 0:  # of which torch would warn that it has no variance
+            return prediction[0]
+        return prediction.var(0, correction=0)
 
     def loss(
         self,
