@@ -160,7 +160,7 @@ class TrainedPolicy:
                 f"`hunger` must be given where it depends on {source.entry!r}, which is no part "
                 "of the observation, got None."
             )
-        return np.asarray(battery_hunger(source.entry, window.shape[-1])(window, {}))
+        return np.asarray(battery_hunger(source.entry, self.spaces.observation_dim)(window, {}))
 
 
 def load(folder: str | Path, *, action_bounds: ActionBounds | None = None) -> TrainedPolicy:

@@ -122,7 +122,7 @@ def battery_hunger(entry: int | str, observation_dim: int) -> HungerFunction:
 
     Args:
         entry: Of the observation, or of `info`, that holds the charge from 0 to 1.
-        observation_dim: Length of an observation.
+        observation_dim: Length of an observation; of a window it is the newest one that is read.
 
     Raises:
         ValueError: If an observation has no such entry; once it is used, if an `info` has not.
@@ -134,7 +134,7 @@ def battery_hunger(entry: int | str, observation_dim: int) -> HungerFunction:
 
     def hunger(observation: np.ndarray, info: Info) -> np.ndarray:
         if isinstance(entry, int):
-            charge = observation[:, entry]
+            charge = observation[:, entry % observation_dim - observation_dim]
         else:
             charge = _charge(info, entry)
         return np.clip((1.0 - charge) / CHARGE_OF_FULL_HUNGER, 0.0, 1.0)
@@ -277,13 +277,17 @@ class BanditHunger(HungerController):
 
 
 def make_hunger_controller(
-    config: Config, observation_dim: int, function: HungerFunction | None = None
+    config: Config,
+    observation_dim: int,
+    action_dim: int,
+    function: HungerFunction | None = None,
 ) -> HungerController:
     """Make what sets the hunger in a run.
 
     Args:
         config: Settings of the run.
-        observation_dim: Length of an observation.
+        observation_dim: Length of an observation, or of a window where there is a frame stack.
+        action_dim: Length of an action.
         function: The caller's own, where the settings leave the hunger where it is.
 
     Raises:
@@ -310,6 +314,8 @@ def make_hunger_controller(
         case "bandit":
             return BanditHunger()
         case "battery":
-            return FunctionHunger(battery_hunger(hunger.entry, observation_dim), highest)
+            frames = config.environment.frame_stack
+            newest_dim = (observation_dim - (frames - 1) * action_dim) // frames
+            return FunctionHunger(battery_hunger(hunger.entry, newest_dim), highest)
         case _:
             return ScheduledHunger(lambda step: hunger.value)

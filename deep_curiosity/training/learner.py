@@ -58,7 +58,9 @@ class Learner:
         self.config = config
         self.hindsight = hindsight
         self.device = torch.device(config.speed.device)
-        self.hunger_controller = make_hunger_controller(config, observation_dim, hunger)
+        self.hunger_controller = make_hunger_controller(
+            config, observation_dim, action_dim, hunger
+        )
         self.has_hunger_function = hunger is not None
         """Whether the hunger is a function of the caller's own, which no checkpoint holds."""
         self.agent = make_agent(config, observation_dim, action_dim).to(self.device)

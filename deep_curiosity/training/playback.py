@@ -87,7 +87,9 @@ def load_policy(
                 f"played at {config.agent.hunger}.",
                 stacklevel=2,
             )
-        return make_evaluation_policy(agent, make_hunger_controller(config, agent.observation_dim))
+        return make_evaluation_policy(
+            agent, make_hunger_controller(config, agent.observation_dim, agent.action_dim)
+        )
     if not isinstance(config.agent.hunger, ConditionedHunger):
         raise ValueError(
             "`hunger` can only be chosen where the agent is conditioned on it (--hunger random, "
@@ -164,7 +166,7 @@ def check_video(path: Path | None) -> None:
     check_new(path)
 
 
-def write_video(path: Path, frames: list[NDArray[np.uint8]], *, fps: int) -> None:
+def write_video(path: Path, frames: list[NDArray[np.uint8]], *, fps: float) -> None:
     """Write frames to a new file, whose suffix names the format, whole or not at all.
 
     Raises:

@@ -188,6 +188,14 @@ def test_a_battery_makes_hungry(run_of):
     np.testing.assert_array_equal(policy.predict(observation)[0], expected)
 
 
+def test_a_battery_is_read_off_the_newest_observation_of_a_window(run_of):
+    policy = dc.load(run_of(hunger="battery:2", frame_stack=2))
+    _, state = policy.predict(np.array([[0.3, 0.1, 1.0]]))
+    drained = np.array([[0.3, 0.1, 0.75]])
+    expected, _ = policy.predict(drained, state, hunger=0.5)
+    np.testing.assert_array_equal(policy.predict(drained, state)[0], expected)
+
+
 def test_a_hunger_of_the_info_must_be_given(run_of, slope_config):
     folder = run_of(hunger="conditioned:0.5")
     policy = dc.load(folder)

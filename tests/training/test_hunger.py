@@ -105,14 +105,25 @@ def test_an_empty_battery_makes_hungry_in_training_and_evaluation():
     charge = np.array([1.0, 0.75, 0.5, 0.0])
     observation, info = np.stack((np.full(4, 5.0), charge), axis=1), {"charge": charge}
     for entry in ("battery", "battery:-1", "battery:1", "battery:charge"):
-        hunger_controller = make_hunger_controller(Config.of(hunger=entry), 2)
+        hunger_controller = make_hunger_controller(Config.of(hunger=entry), 2, 1)
         assert hunger_controller.hunger(0, observation, info).tolist() == [0.0, 0.5, 1.0, 1.0]
         assert hunger_controller.in_evaluation(observation, info).tolist() == [0.0, 0.5, 1.0, 1.0]
 
 
+@pytest.mark.parametrize("entry", ["battery:1", "battery:-1"])
+def test_the_battery_of_a_window_is_that_of_its_newest_observation(tiny, entry):
+    config = tiny.override(hunger=entry, frame_stack=2)
+    window = np.array([[7.0, 1.0, 0.0, 7.0, 0.75]])  # observation, action, observation
+    controller = make_hunger_controller(config, window.shape[1], 1)
+    assert controller.hunger(0, window, {}).tolist() == [0.5]
+    learner = Learner(config, window.shape[1], 1)
+    learner.before_step(0, window, {})
+    assert learner.agent.hunger == 0.5
+
+
 def test_a_battery_must_be_in_the_observation():
     with pytest.raises(ValueError, match="`battery` must be an entry of an observation of 3, got"):
-        make_hunger_controller(Config.of(hunger="battery:3"), observation_dim=3)
+        make_hunger_controller(Config.of(hunger="battery:3"), observation_dim=3, action_dim=1)
 
 
 def test_a_policy_knows_its_battery_where_nothing_is_installed_to_train():
@@ -124,13 +135,17 @@ def test_a_policy_knows_its_battery_where_nothing_is_installed_to_train():
 
 
 def test_a_battery_must_be_in_the_info():
-    hunger_controller = make_hunger_controller(Config.of(hunger="battery:fuel"), observation_dim=3)
+    hunger_controller = make_hunger_controller(
+        Config.of(hunger="battery:fuel"), observation_dim=3, action_dim=1
+    )
     with pytest.raises(ValueError, match=r"`battery` .* \['energy'\], got 'fuel'"):
         hunger_controller.hunger(0, NOTHING, {"energy": 1.0})
 
 
 def test_a_battery_must_be_in_the_info_of_every_environment():
-    hunger_controller = make_hunger_controller(Config.of(hunger="battery:fuel"), observation_dim=3)
+    hunger_controller = make_hunger_controller(
+        Config.of(hunger="battery:fuel"), observation_dim=3, action_dim=1
+    )
     infos = joined([{"fuel": 1}, {"fuel": 0.75}])
     assert hunger_controller.hunger(0, np.zeros((2, 3)), infos).tolist() == [0.0, 0.5]
     for fuel in (0.5, 1):
@@ -142,7 +157,9 @@ def test_a_battery_must_be_in_the_info_of_every_environment():
 @pytest.mark.parametrize("fuel", [None, "full", {"left": 0.5}, math.nan])
 @pytest.mark.parametrize("num_envs", [1, 2])
 def test_a_battery_must_be_a_number(fuel, num_envs):
-    hunger_controller = make_hunger_controller(Config.of(hunger="battery:fuel"), observation_dim=3)
+    hunger_controller = make_hunger_controller(
+        Config.of(hunger="battery:fuel"), observation_dim=3, action_dim=1
+    )
     infos = joined([{"fuel": fuel}] * num_envs)
     with pytest.raises(ValueError, match="`battery` must be a finite number in every info, got"):
         hunger_controller.hunger(0, np.zeros((num_envs, 3)), infos)
@@ -218,7 +235,7 @@ def test_a_function_is_not_bounded_where_the_agent_is_not_conditioned():
 @pytest.mark.parametrize("shape", ["linear", "exponential"])
 def test_a_schedule_goes_from_the_first_hunger_to_the_last(shape):
     config = Config.of(hunger=f"{shape}:0.5:8", total_steps=100, learning_starts=10, num_envs=2)
-    hunger_controller = make_hunger_controller(config, 3)
+    hunger_controller = make_hunger_controller(config, 3, 1)
     assert isinstance(hunger_controller, ScheduledHunger)
     assert hunger_controller.hunger(0, np.zeros((2, 3)), {}).tolist() == [0.5, 0.5]
     assert hunger_controller.hunger(100, np.zeros((2, 3)), {}) == pytest.approx(8.0)
