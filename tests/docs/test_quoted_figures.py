@@ -547,6 +547,35 @@ def test_what_is_said_of_a_share_of_variances_is_what_was_measured():
     ) in text_of("docs/development/README.md")
 
 
+def test_what_is_said_of_the_width_of_kernels_is_what_was_measured():
+    area = {
+        task: {(row["agent"], row["seed"]): row["area"] for row in own}
+        for (task,), own in grouped(rows_of("docs/development/bandwidth.csv"), "task").items()
+    }
+    page = text_of("docs/development/README.md")
+    for task in ("PointMaze", "PointMaze, ends at goal"):
+        for seed in (100, 101):
+            assert area[task]["overlap", seed] == area[task]["silverman", seed]
+    cheetah, seeds = area["HalfCheetah-v5"], range(100, 108)
+    wide, narrow = (
+        np.array([cheetah[kernels, seed] for seed in seeds])
+        for kernels in ("overlap", "silverman")
+    )
+    found = bootstrap([wide - narrow])
+    assert (
+        f"are {interquartile_mean(wide):.0f} with kernels that overlap and "
+        f"{interquartile_mean(narrow):.0f} with Silverman's; it is the larger on "
+        f"{(wide > narrow).sum()} seeds of {len(seeds)}, and the 95 % interval of the difference, "
+        f"paired by seed, is [{found.low:.0f}, {found.high:.0f}]."
+    ) in page
+    pole = area["CartpoleSwingup"]
+    one, other = (f"{pole[kernels, 100]:.2f} and {pole[kernels, 101]:.2f}" for kernels in both)
+    assert f"are {one} with the one, {other} with the other" in page
+    assert f"mean area is {wide.mean():.0f} and the default's {narrow.mean():.0f}" in text_of(
+        "docs/development/protocol.md"
+    )
+
+
 def solved_runs(path, agent="default"):
     """Of each task of a table: how many runs of an agent end solved."""
     return {
