@@ -556,11 +556,8 @@ def test_what_is_said_of_the_width_of_kernels_is_what_was_measured():
     for task in ("PointMaze", "PointMaze, ends at goal"):
         for seed in (100, 101):
             assert area[task]["overlap", seed] == area[task]["silverman", seed]
-    cheetah, seeds = area["HalfCheetah-v5"], range(100, 108)
-    wide, narrow = (
-        np.array([cheetah[kernels, seed] for seed in seeds])
-        for kernels in ("overlap", "silverman")
-    )
+    cheetah, seeds, both = area["HalfCheetah-v5"], range(100, 108), ("overlap", "silverman")
+    wide, narrow = (np.array([cheetah[kernels, seed] for seed in seeds]) for kernels in both)
     found = bootstrap([wide - narrow])
     assert (
         f"are {interquartile_mean(wide):.0f} with kernels that overlap and "
