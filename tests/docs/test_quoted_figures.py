@@ -601,6 +601,14 @@ def test_what_is_said_of_another_bonus_is_what_was_measured():
     assert said.format(today, *areas) in page
 
 
+def draw_shares(rows):
+    """Of each task: the largest share of D's variance that is which states were drawn."""
+    shares = {}
+    for row in rows:
+        shares[row["task"]] = max(shares.get(row["task"], 0.0), row["draw_share"])
+    return shares
+
+
 def test_what_is_said_of_the_standardised_bonuses_is_what_was_measured():
     rows = read_rows(ROOT / "docs/development/standardization.csv")
     by_bonus = {bonus: own for (bonus,), own in grouped(rows, "bonus").items()}
@@ -620,10 +628,10 @@ def test_what_is_said_of_the_standardised_bonuses_is_what_was_measured():
     listed = ", ".join(f"{bonus} {value:.2f}" for bonus, value in furthest.items())
     assert f"furthest from zero: {listed}." in text
     assert f"Theirs is between {min(spread):.2f} and {max(spread):.2f}." in text
-    draws = {
-        task: max(row["draw_share"] for row in default if row["task"] == task)
-        for task in {row["task"] for row in default}
-    }
-    ordered = sorted(draws.items(), key=lambda pair: pair[1])
+    ordered = sorted(draw_shares(default).items(), key=lambda pair: pair[1])
     listed = ", ".join(f"{share:.2f} on {task}" for task, share in ordered)
     assert f"at most {listed}" in text
+    before = draw_shares(read_rows(ROOT / "docs/development/standardization-silverman.csv"))
+    largest = sorted(before, key=before.get, reverse=True)[:4]
+    *first, last = (f"{before[task]:.2f} on {task}" for task in largest)
+    assert f"it was up to {', '.join(first)} and {last}" in text
