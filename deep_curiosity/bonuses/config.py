@@ -20,7 +20,7 @@ from deep_curiosity.bonuses.baselines import (
 from deep_curiosity.bonuses.curiosity import CuriosityBonus, check_entries
 from deep_curiosity.bonuses.decomposition import coefficients_of
 from deep_curiosity.bonuses.dynamics import DynamicsEnsemble, Whitening
-from deep_curiosity.bonuses.marginal import TARGET_PERPLEXITY, NextStateMarginal
+from deep_curiosity.bonuses.marginal import TARGET_PERPLEXITY, Bandwidth, NextStateMarginal
 from deep_curiosity.configuration import LEAST_LEARNING_RATE, Group, setting
 from deep_curiosity.nn.networks import Adam
 
@@ -236,9 +236,7 @@ class MarginalConfig(Group):
 
     components: int = setting(2048, at_least=2, at_most=10**5)
     """Next states that make up the marginal."""
-    bandwidth: float | Literal["overlap", "silverman", "perplexity"] = setting(
-        "overlap", above=0, at_least=FINEST, at_most=COARSEST
-    )
+    bandwidth: Bandwidth = setting("overlap", above=0, at_least=FINEST, at_most=COARSEST)
     """Width of the marginal's kernels, in standard deviations of the components; silverman is his
     rule, overlap the same until too few overlap, as in many dimensions, and then wider."""
     half_life: float | None = setting(10.0, name="marginal_half_life", above=0, at_most=1e6)

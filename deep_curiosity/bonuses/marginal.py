@@ -25,9 +25,9 @@ MOST_LOG_STRETCH = math.log(1e3)  # of the bandwidth beyond Silverman's
 MOST_STEP = 0.3  # of the log stretch at one refresh: where none resembles another, no slope tells
 BISECTIONS = 20  # halvings of that range: to a factor of 1.00001
 
-_expected_log_density = unwrap(expected_log_density)  # unchecked: a refresh waits for no device
-
 Bandwidth = float | Literal["overlap", "silverman", "perplexity"]
+
+_expected_log_density = unwrap(expected_log_density)  # unchecked: a refresh waits for no device
 
 
 class Information(NamedTuple):
