@@ -17,7 +17,15 @@ from deep_curiosity.experiments.tables import markdown_table
 from tests.docs.pages import ROOT, text_of
 
 FOLDER = ROOT / "docs/results"
-NAMES = ("results", "results_dense", "steady_share", "raw_observations", "uniform_prior")
+NAMES = (
+    "results",
+    "results_dense",
+    "overlap",
+    "overlap_dense",
+    "steady_share",
+    "raw_observations",
+    "uniform_prior",
+)
 TABLES = {name: read_rows(FOLDER / f"{name}.csv") for name in NAMES}
 HELD_OUT = [task.name for task in STUDIES["results"].joint.tasks]
 
@@ -148,6 +156,39 @@ def test_what_is_said_of_dense_reward_is_what_was_measured():
         f"has {ranges[0]} of the plain agent's area on HalfCheetah-v5 and {ranges[1]} on Hopper-v5"
     ) in page
     assert f"on the first three seeds it had {' and '.join(firsts)}" in page
+
+
+def figures_since():
+    """What is said of the default since the tables above: where it catches, and where it runs."""
+    task = "dm_control/ball_in_cup-catch-v0"
+    counts = []
+    for name in ("overlap", "results"):
+        runs = [row for row in TABLES[name] if _is_of(row, task, "curiosity")]
+        final, area = (
+            interquartile_mean(np.array([row[column] for row in runs]))
+            for column in ("evaluation_return", "area")
+        )
+        counts.append((sum(row["solved"] for row in runs), len(runs), final, area))
+    (solved, number, *means), (before, of, *means_before) = counts
+    caught = (
+        f"on {task} it solves {solved:.0f} of {number} with a final return of {means[0]:.0f} and "
+        f"an area of {means[1]:.0f}, where it solved {before:.0f} of {of} with "
+        f"{means_before[0]:.0f} and {means_before[1]:.0f}"
+    )
+    now = [row["area"] for row in TABLES["overlap_dense"]]
+    earlier, plain = (areas[: len(now)] for areas in paired_areas("HalfCheetah-v5"))
+    shown = [", ".join(f"{area:.0f}" for area in areas) for areas in (now, earlier, plain)]
+    ran = (
+        f"On HalfCheetah-v5 its areas on the first {len(now)} seeds are {shown[0]}, where they "
+        f"were {shown[1]} and the plain agent's are {shown[2]}"
+    )
+    return caught, ran
+
+
+def test_what_is_said_of_the_default_since_then_is_what_was_measured():
+    text = text_of("docs/results/README.md")
+    for said in figures_since():
+        assert f"{said} (" in text
 
 
 def test_what_is_said_of_earlier_defaults_is_what_was_measured():

@@ -17,6 +17,8 @@ TABLES = {  # whose names are not those of their studies
     "harm-learned": "harm",
     "harm-default": "harm",
     "harm-units": "harm",
+    "overlap": "results",
+    "overlap_dense": "results_dense",
     "uniform_prior": "results",
     "steady_share": "results",
     "raw_observations": "results",
