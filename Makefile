@@ -21,7 +21,7 @@ train: setup  ## train the curious agent on PendulumSwingup with action cost, un
 	$(BIN)/python scripts/train.py --env-id PendulumSwingup --env-kwargs action_cost 0.1 \
 		--total-steps 16000 --hidden-dim 64 --out $(OUT)
 
-test: setup  ## the default tests, some 6 minutes on two cores
+test: setup  ## the default tests, some 5 minutes on two cores
 	$(BIN)/python -m pytest -n auto
 
 slow: setup  ## the learning tests, tens of minutes
