@@ -236,7 +236,7 @@ class MarginalConfig(Group):
 
     components: int = setting(2048, at_least=2, at_most=10**5)
     """Next states that make up the marginal."""
-    bandwidth: Bandwidth = setting("overlap", above=0, at_least=FINEST, at_most=COARSEST)
+    bandwidth: Bandwidth = setting("silverman", above=0, at_least=FINEST, at_most=COARSEST)
     """Width of the marginal's kernels, in standard deviations of the components; silverman is his
     rule, overlap the same until too few overlap, as in many dimensions, and then wider."""
     half_life: float | None = setting(10.0, name="marginal_half_life", above=0, at_most=1e6)

@@ -87,7 +87,7 @@ class NextStateMarginal(nn.Module):
         dim: int,
         *,
         components: int = 2048,
-        bandwidth: Bandwidth = "overlap",
+        bandwidth: Bandwidth = "silverman",
         target_perplexity: float = TARGET_PERPLEXITY,
     ) -> None:
         super().__init__()

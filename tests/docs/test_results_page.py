@@ -158,8 +158,8 @@ def test_what_is_said_of_dense_reward_is_what_was_measured():
     assert f"on the first three seeds it had {' and '.join(firsts)}" in page
 
 
-def figures_since():
-    """What is said of the default since the tables above: where it catches, and where it runs."""
+def figures_of_overlap():
+    """What is said of kernels that overlap: where the agent catches, and where it runs."""
     task = "dm_control/ball_in_cup-catch-v0"
     counts = []
     for name in ("overlap", "results"):
@@ -185,9 +185,9 @@ def figures_since():
     return caught, ran
 
 
-def test_what_is_said_of_the_default_since_then_is_what_was_measured():
+def test_what_is_said_of_kernels_that_overlap_is_what_was_measured():
     text = text_of("docs/results/README.md")
-    for said in figures_since():
+    for said in figures_of_overlap():
         assert f"{said} (" in text
 
 
