@@ -212,6 +212,16 @@ def is_whole_number(value: Any) -> bool:
     return isinstance(value, numbers.Integral) and not isinstance(value, bool)
 
 
+def check_kind(name: str, value: Any, kind: type) -> None:
+    """Reject what is no object of a class.
+
+    Raises:
+        TypeError: Naming the argument, the class and what it is.
+    """
+    if not isinstance(value, kind):
+        raise TypeError(f"`{name}` must be a {kind.__name__}, got {type(value).__name__}.")
+
+
 def check_counts(**counts: Any) -> None:
     """Reject counts and sizes that are no whole numbers, or below 1.
 

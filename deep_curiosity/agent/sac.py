@@ -43,6 +43,7 @@ from deep_curiosity.transitions import (
     Transition,
     as_sequences,
     check_counts,
+    check_flags,
     check_inputs,
     check_moderate,
     is_number,
@@ -704,8 +705,7 @@ def _check_parts(config: Any, curiosity: Any) -> None:
     """Reject what is no configuration of an agent, and what is no answer to yes or no."""
     if not isinstance(config, AgentConfig):
         raise TypeError(f"`config` must be an AgentConfig, got {config!r}.")
-    if not isinstance(curiosity, bool):
-        raise TypeError(f"`curiosity` must be True or False, got {curiosity!r}.")
+    check_flags(curiosity=curiosity)
 
 
 def _check_number(name: str, value: float, **bounds: float) -> None:

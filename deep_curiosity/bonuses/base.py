@@ -114,13 +114,3 @@ def check_policy(policy: Any) -> None:
     """
     if not callable(policy):
         raise TypeError(f"`policy` must be callable, got {policy!r}.")
-
-
-def check_bonus(bonus: Any) -> None:
-    """Reject what is no `Bonus`.
-
-    Raises:
-        TypeError: If it is something else.
-    """
-    if not isinstance(bonus, Bonus):
-        raise TypeError(f"`bonus` must be a Bonus, got {type(bonus).__name__}.")

@@ -25,6 +25,7 @@ from deep_curiosity.transitions import (
     Transition,
     check_counts,
     check_inputs,
+    check_kind,
     check_transition,
     every_second,
     is_number,
@@ -126,8 +127,8 @@ class CuriosityBonus(Bonus):
     ) -> None:
         super().__init__()
         check_counts(refresh_interval=refresh_interval)
-        _check_kind("dynamics", dynamics, DynamicsEnsemble)
-        _check_kind("marginal", marginal, NextStateMarginal)
+        check_kind("dynamics", dynamics, DynamicsEnsemble)
+        check_kind("marginal", marginal, NextStateMarginal)
         self.observation_dim = dynamics.observation_dim
         self.action_dim = dynamics.action_dim
         self.coefficients = coefficients_of(parts)
@@ -481,11 +482,6 @@ def check_entries(entries: Sequence[int], dim: int, name: str = "features") -> l
     return chosen
 
 
-def _check_kind(name: str, value: Any, kind: type) -> None:
-    if not isinstance(value, kind):
-        raise TypeError(f"`{name}` must be a {kind.__name__}, got {type(value).__name__}.")
-
-
 def _check_marginal(marginal: NextStateMarginal, dim: int) -> None:
     if marginal.loc.shape[1] != dim:
         raise ValueError(
@@ -495,7 +491,7 @@ def _check_marginal(marginal: NextStateMarginal, dim: int) -> None:
 
 
 def _check_noise(noise: Any, loc: Tensor) -> None:
-    _check_kind("noise", noise, Tensor)
+    check_kind("noise", noise, Tensor)
     if noise.shape[1:] != loc.shape or len(noise) == 0:
         shape = ", ".join(map(str, loc.shape))
         raise ValueError(f"`noise` must have shape (samples, {shape}), got {tuple(noise.shape)}.")

@@ -5,8 +5,8 @@ from copy import deepcopy
 from jaxtyping import Float
 from torch import Tensor
 
-from deep_curiosity.bonuses.base import Bonus, Policy, check_bonus
-from deep_curiosity.transitions import Transition, check_transition_kind
+from deep_curiosity.bonuses.base import Bonus, Policy
+from deep_curiosity.transitions import Transition, check_kind, check_transition_kind
 
 
 class FrozenBonus(Bonus):
@@ -21,7 +21,7 @@ class FrozenBonus(Bonus):
 
     def __init__(self, bonus: Bonus) -> None:
         super().__init__()
-        check_bonus(bonus)
+        check_kind("bonus", bonus, Bonus)
         self.bonus = deepcopy(bonus).requires_grad_(False)
         self.eval()
         self.scores_outcomes = bonus.scores_outcomes  # type: ignore[misc]  # as the other does

@@ -6,12 +6,13 @@ import torch
 from jaxtyping import Float
 from torch import Tensor, nn
 
-from deep_curiosity.bonuses.base import Bonus, Policy, check_bonus, check_policy
+from deep_curiosity.bonuses.base import Bonus, Policy, check_policy
 from deep_curiosity.nn.networks import Adam
 from deep_curiosity.nn.statistics import Every
 from deep_curiosity.transitions import (
     Transition,
     check_counts,
+    check_kind,
     check_positive,
     check_transition_kind,
 )
@@ -39,7 +40,7 @@ class BonusLearner(nn.Module):
         self, bonus: Bonus, *, learning_rate: float = 1e-3, update_interval: int = 1
     ) -> None:
         super().__init__()
-        check_bonus(bonus)
+        check_kind("bonus", bonus, Bonus)
         check_positive(learning_rate=learning_rate)
         if learning_rate > MOST_LEARNING_RATE:
             raise ValueError(
