@@ -376,11 +376,12 @@ class CuriousSAC(nn.Module):
         self._check_update(sequences, bonus)
         steps, batch_size = sequences.steps, sequences.alive.shape[1]
         hunger = sample_hunger(steps.reward[:batch_size]) if self.is_conditioned else self._hunger
+        rewards = self._rewards(sequences, bonus)  # first of all: a function of bonus may fail
         observation = steps.observation[:batch_size]
         if self.observation_scaling is not None:
             self.observation_scaling.update(observation)
         policy_input = self.policy_input(observation, hunger)
-        target = self._targets(sequences, bonus, hunger)
+        target = self._targets(sequences, rewards, hunger)
         metrics = self._update_critics(policy_input, steps.action[:batch_size], target)
         sample, actor_metrics = self._update_actor(observation, policy_input, bonus, hunger)
         metrics |= actor_metrics | self._update_prior(sample) | self._update_temperature(sample)
@@ -481,13 +482,12 @@ class CuriousSAC(nn.Module):
 
     @torch.no_grad()
     def _targets(
-        self, sequences: Sequences, bonus: Tensor | BonusFunction | None, hunger: Hunger
+        self, sequences: Sequences, rewards: list[Float[Tensor, " _"]], hunger: Hunger
     ) -> Float[Tensor, "values batch"]:
         """Targets of the reward's value and, where it is learned, of the curiosity value.
 
         Each sums as many steps as are its own, or as the sequences hold where that is less.
         """
-        rewards = self._rewards(sequences, bonus)
         parts = [sequences, *map(sequences.known, rewards[1:])]
         ends, reached = [], []
         for number, (part, num_steps) in enumerate(zip(parts, self.num_steps, strict=True)):

@@ -363,6 +363,11 @@ def test_the_value_of_a_curious_agent_is_purely_about_reward_by_default(prior):
     assert losses[0] == losses[1]
 
 
+def targets_of(agent, sequences, bonus, hunger):
+    """Targets of reward's value and of curiosity's."""
+    return agent._targets(sequences, agent._rewards(sequences, bonus), hunger)
+
+
 def updated(agent, batch, bonus=None):
     """A copy of the agent after one update with the same random numbers."""
     agent = deepcopy(agent)
@@ -1067,7 +1072,9 @@ def test_only_an_episodic_curiosity_value_ends_with_the_episode(episodic):
     agent = small_agent(curiosity_episodic=episodic, prior="learned")
     batch = random_transition()
     batch = batch._replace(reward=torch.zeros(32), terminated=torch.ones(32, dtype=torch.bool))
-    value, curiosity_value = agent._targets(as_sequences(batch), PushingBonus(0.0), torch.ones(()))
+    value, curiosity_value = targets_of(
+        agent, as_sequences(batch), PushingBonus(0.0), torch.ones(())
+    )
     assert value.abs().max() == 0
     assert (curiosity_value.abs().max() == 0) == episodic
 
@@ -1153,7 +1160,7 @@ def test_past_the_end_the_curiosity_value_goes_on_where_the_next_episode_begins(
     agent._next_values = lambda observation, hunger: (
         asked.append(observation) or torch.ones(2, observation.shape[-2])
     )
-    reward, curiosity = agent._targets(sequences, torch.zeros(8), agent._hunger)
+    reward, curiosity = targets_of(agent, sequences, torch.zeros(8), agent._hunger)
     expected = torch.where(ends.unsqueeze(-1), second.observation, first.next_observation)
     assert asked[0].equal(torch.stack([first.next_observation, expected]))
     discount = agent.discounts[1]
@@ -1173,7 +1180,7 @@ def test_each_value_sums_as_many_steps_as_are_its_own(episodic):
     )
     let_answer(agent.target_critics, 8.0, 1000.0)
     sequences = random_sequences(3)
-    value, curiosity_value = agent._targets(sequences, PushingBonus(1.0), torch.ones(()))
+    value, curiosity_value = targets_of(agent, sequences, PushingBonus(1.0), torch.ones(()))
     reward = sequences.steps.reward.unflatten(0, (3, 32))
     bonus = sequences.steps.action[:, 0].unflatten(0, (3, 32))
     for row in range(32):
@@ -1198,9 +1205,9 @@ def test_a_bonus_that_is_not_known_ends_the_sum_of_curiosity_alone():
     let_answer(agent.target_critics, 5.0, 7.0)
     one = small_agent(reward_steps=3, curiosity_steps=1, prior="learned")
     let_answer(one.target_critics, 5.0, 7.0)
-    cut = agent._targets(sequences, unknown, torch.ones(()))
-    torch.testing.assert_close(cut, one._targets(sequences, bonus, torch.ones(())))
-    assert not cut[1].equal(agent._targets(sequences, bonus, torch.ones(()))[1])
+    cut = targets_of(agent, sequences, unknown, torch.ones(()))
+    torch.testing.assert_close(cut, targets_of(one, sequences, bonus, torch.ones(())))
+    assert not cut[1].equal(targets_of(agent, sequences, bonus, torch.ones(()))[1])
 
 
 def test_each_value_is_asked_where_its_own_steps_lead():
@@ -1210,7 +1217,7 @@ def test_each_value_is_asked_where_its_own_steps_lead():
         sequences, asked = random_sequences(3), []
         inner = agent._next_values
         agent._next_values = lambda *args, ask=inner, seen=asked: seen.append(args) or ask(*args)
-        targets = agent._targets(sequences, PushingBonus(1.0), torch.ones(()))
+        targets = targets_of(agent, sequences, PushingBonus(1.0), torch.ones(()))
         assert targets.shape == (2, 32) and targets.isfinite().all()
         ((reached, _),) = asked
         assert reached[0].equal(sequences.last(3).next_observation)
@@ -1240,7 +1247,7 @@ def test_values_look_as_far_ahead_as_the_batch_goes():
         targets = []
         for agent in (one, three):
             torch.manual_seed(1)
-            targets.append(agent._targets(batch, bonus, hunger))
+            targets.append(targets_of(agent, batch, bonus, hunger))
         assert targets[0].equal(targets[1]) == (batch is not sequences)
 
 
@@ -1284,9 +1291,12 @@ def test_what_a_bonus_function_returns_is_refused_before_a_policy_learns_it(
 ):
     spoil, error, message = BAD_BONUSES[reason]
     agent = small_agent(curiosity_discount=curiosity_discount)
+    before = deepcopy(agent)
     policy, stds = copies(agent.policy.parameters()), agent.value_stds.clone()
     with pytest.raises(error, match=message):
         agent.update(random_transition(), spoiled_bonus(spoil))
+    if curiosity_discount:  # without, critics have learned of reward before it is asked
+        assert_same_state(agent, before)
     assert equal(agent.policy.parameters(), policy)
     assert agent.value_stds[1] == stds[1]
     assert agent.update(random_transition(), PushingBonus(1.0))["policy_loss"].isfinite()
