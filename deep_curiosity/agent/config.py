@@ -167,7 +167,9 @@ class AgentConfig(Group):
     what lies between is seen as it is. An entry that is mostly zero is measured where it is not.
     Models and bonus have units of their own either way."""
     critic_layer_norm: bool = False
-    """Normalise every hidden layer of the critics, which bounds what they extrapolate."""
+    """Normalise every hidden layer of reward's critics, which bounds what they extrapolate, and
+    begin with values near zero. Without it first policies may press actions to the edge of their
+    box, where no step was taken yet, and stay there for thousands of steps."""
     mixture_components: int = setting(1, name="policy_mixture_components", at_most=100)
     """Gaussians that make up the policy; an optimum with two peaks needs two."""
     actor_q: Literal["alternate", "min"] = "alternate"

@@ -27,6 +27,7 @@ MOST_HABIT = 2.0  # mean of a prior's component, pre-squash: 0.96 of a full acti
 FIRST_LOGIT = 2.0  # of a prior's standard deviation: then 0.93, near the 0.91 of a uniform action
 UNIFORM_EDGE = 1 - 1e-6  # atanh is infinite at the edge of the action box
 OF_REWARD, OF_OTHERS = slice(0, 2), slice(2, None)  # critics
+FIRST_OUTPUT = 0.01  # of the usual weights of the last layer, behind normalised ones
 NUM_PRIOR_SAMPLES = 256  # for the reported divergence of the prior from uniform
 DEFAULT_RATE = 1 + math.log(2)
 """Nats for each action dimension by which a policy may differ from its prior: from the uniform one
@@ -110,14 +111,17 @@ class Critics(nn.Module):
     """State-action values, all in one stacked network: that of the reward twice, others once.
 
     Reward's value is maximised, and the smaller of two estimates guards against overestimation
-    (Fujimoto et al., 2018). What is not known yet is no reason for pessimism where it is sought.
+    (Fujimoto et al., 2018). What is not known yet is no reason for pessimism where it is sought,
+    nor for a bound.
 
     Args:
         observation_dim: Length of an observation.
         action_dim: Length of an action.
         others: Number of other values, such as that of curiosity.
         hidden_dims: Width of every hidden layer.
-        layer_norm: Normalise every hidden layer, which bounds what is extrapolated.
+        layer_norm: Normalise every hidden layer of reward's two estimates, which bounds what these
+            extrapolate, and begin with values near zero: what they start with would else tell
+            states apart, where no reward was met yet, by as much as curiosity does.
     """
 
     def __init__(
@@ -131,8 +135,17 @@ class Critics(nn.Module):
     ) -> None:
         super().__init__()
         self.network = StackedMLP(
-            2 + others, observation_dim + action_dim, hidden_dims, 1, layer_norm=layer_norm
+            2 + others,
+            observation_dim + action_dim,
+            hidden_dims,
+            1,
+            normalized=2 * layer_norm,
         )
+        if layer_norm:
+            last = self.network.layers[-1]
+            with torch.no_grad():
+                last.weight[OF_REWARD] *= FIRST_OUTPUT
+                last.bias[OF_REWARD] = 0
 
     def forward(
         self,

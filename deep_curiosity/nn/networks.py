@@ -52,7 +52,8 @@ class StackedMLP(nn.Module):
         in_features: Size of each input.
         hidden_dims: Width of every hidden layer.
         out_features: Size of each output.
-        layer_norm: Bring every hidden layer to mean 0 and standard deviation 1 before it is cut.
+        normalized: Number of networks, the first ones, of which every hidden layer is brought to
+            mean 0 and standard deviation 1 before it is cut.
     """
 
     layers: Sequence[StackedLinear]
@@ -64,12 +65,12 @@ class StackedMLP(nn.Module):
         hidden_dims: Sequence[int],
         out_features: int,
         *,
-        layer_norm: bool = False,
+        normalized: int = 0,
     ) -> None:
         super().__init__()
         check_hidden_dims(hidden_dims)
         check_counts(members=members, in_features=in_features)
-        self.layer_norm = layer_norm
+        self.normalized = normalized
         widths = [in_features, *hidden_dims, out_features]
         self.members = members
         self.layers = nn.ModuleList(  # type: ignore[assignment]  # of linear layers
@@ -85,10 +86,12 @@ class StackedMLP(nn.Module):
         if value.ndim == 2:  # a product would copy what is expanded
             value = value.repeat(len(self.layers[0].weight[some]), 1, 1)
         *hidden, last = self.layers  # written out, as it is done most often of all
+        normalized = len(range(self.normalized)[some])
         for layer in hidden:
             value = torch.bmm(value, layer.weight[some]) + layer.bias[some]
-            if self.layer_norm:
-                value = normalize_layer(value, value.shape[-1:])
+            if normalized:
+                first, rest = value.tensor_split([normalized])
+                value = torch.cat([normalize_layer(first, first.shape[-1:]), rest])
             value = torch.relu(value)
         weight, bias = last.weight[some], last.bias[some]
         if weight.shape[-1] == 1:  # a product with one column is dearer than a weighted sum
@@ -103,10 +106,8 @@ class StackedMLP(nn.Module):
         if value.ndim == 2:
             value = value.repeat(self.members, 1, 1)
         for layer in self.layers[:-1]:
-            value = layer(value)
-            if self.layer_norm:
-                value = normalize_layer(value, value.shape[-1:])
-            value = torch.relu(value)
+            first, rest = layer(value).tensor_split([self.normalized])
+            value = torch.relu(torch.cat([normalize_layer(first, first.shape[-1:]), rest]))
         return value
 
 

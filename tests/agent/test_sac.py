@@ -496,13 +496,39 @@ def test_without_a_discount_the_bonus_itself_yields():
     assert agent.curiosity_coefficient == pytest.approx(0.25)
 
 
-def test_normalised_layers_bound_what_critics_extrapolate():
+def test_normalised_layers_bound_what_is_extrapolated_of_reward_and_not_of_curiosity():
     agent = small_agent(critic_layer_norm=True)
     near, far = (scale * torch.ones(1, 3) for scale in (1e3, 1e6))
     action = torch.zeros(1, 2)
-    torch.testing.assert_close(
-        agent.critics(near, action), agent.critics(far, action), rtol=1e-2, atol=1e-2
+    (*close, further), (*distant, furthest) = (
+        agent.critics(near, action),
+        agent.critics(far, action),
     )
+    torch.testing.assert_close(close, distant, rtol=1e-2, atol=1e-2)
+    assert (furthest / further).item() == pytest.approx(1e3, rel=0.1)
+    for critics, expected in (
+        (agent.critics.of_others(far, action)[0], furthest),
+        (agent.critics.of_reward(far, action), torch.stack(distant).amin(0)),
+        (agent.critics.of_reward(far, action, alternate=True), distant[0]),
+    ):
+        torch.testing.assert_close(critics, expected)
+
+
+def test_normalised_critics_of_reward_begin_near_zero_and_that_of_curiosity_as_usual():
+    observation, action = torch.randn(64, 3), torch.rand(64, 2) * 2 - 1
+    normalised, usual = (
+        small_agent(critic_layer_norm=layer_norm).critics(observation, action).std(-1).tolist()
+        for layer_norm in (True, False)
+    )
+    assert max(normalised[:2]) < 0.01 < min(normalised[2], *usual)
+
+
+def test_without_normalised_layers_critics_of_reward_extrapolate():
+    agent = small_agent(critic_layer_norm=False)
+    near, far = (
+        agent.critics(scale * torch.ones(1, 3), torch.zeros(1, 2)) for scale in (1e3, 1e6)
+    )
+    assert (far / near).flatten().tolist() == pytest.approx([1e3] * 3, rel=0.1)
 
 
 def test_the_coefficient_weighs_the_curiosity_value_in_the_actor():

@@ -147,3 +147,16 @@ def test_a_part_whose_parameters_were_replaced_is_not_stepped_in_silence():
     optimizer.replace_targets(part.parameters())
     optimizer.step(part(torch.ones(4, 3)).sum())
     assert part.weight.lt(0).all() and optimizer.count == 2
+
+
+@pytest.mark.parametrize("normalized", [0, 2, 3])
+def test_only_the_first_networks_are_normalised_whichever_are_asked(normalized):
+    network = StackedMLP(3, 4, (8, 8), 1, normalized=normalized)
+    value = torch.randn(16, 4)
+    near, far = network(value), network(1e6 * value)
+    bounded = (far.abs().amax((1, 2)) < 1e3 * near.abs().amax((1, 2))).tolist()
+    assert bounded == [member < normalized for member in range(3)]
+    for some in (slice(0, 2), slice(2, None)):
+        torch.testing.assert_close(network(value, some), near[some])
+    hidden, last = network.hidden(value), network.layers[-1]
+    torch.testing.assert_close(hidden @ last.weight + last.bias, near)
