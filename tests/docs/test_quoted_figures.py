@@ -547,6 +547,34 @@ def test_what_is_said_of_a_share_of_variances_is_what_was_measured():
     ) in text_of("docs/development/README.md")
 
 
+def test_what_is_said_of_layer_normalisation_is_what_was_measured():
+    rows = rows_of("docs/development/layer-norm.csv")
+    area = {
+        (task, agent): {row["seed"]: row["area"] for row in own}
+        for (task, agent), own in grouped(rows, "task", "agent").items()
+    }
+    page = text_of("docs/development/README.md")
+    seeds = range(100, 108)
+    every, default = (
+        np.array([area["PointMaze", agent][seed] for seed in seeds])
+        for agent in ("all critics", "default")
+    )
+    found = bootstrap([every - default])
+    assert (
+        f"area in the maze is {interquartile_mean(every):.0f} on eight seeds, the default's "
+        f"{interquartile_mean(default):.0f}, and the 95 % interval of the difference, paired by "
+        f"seed, is [{found.low:.0f}, {found.high:.0f}]"
+    ) in page
+    own, all_critics, of_reward = (
+        f"{area['HalfCheetah-v5', agent][100]:.0f}"
+        for agent in ("default", "all critics", "critics of reward")
+    )
+    assert (
+        f"seed 100, the default's area is {own}, that of all critics {all_critics} and that of "
+        f"the critics of reward {of_reward}."
+    ) in page
+
+
 def test_what_is_said_of_the_width_of_kernels_is_what_was_measured():
     area = {
         task: {(row["agent"], row["seed"]): row["area"] for row in own}
