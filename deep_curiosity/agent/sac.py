@@ -406,6 +406,7 @@ class CuriousSAC(nn.Module):
         metrics = {"hunger": self._hunger.clone()} | self.prior.metrics()
         if self.has_greedy_policy:
             metrics["greedy_share"] = torch.tensor(self.greedy_share)
+            metrics["greedy_temperature"] = self.log_temperature[0].exp()
         if self.has_curiosity_critic:
             metrics["curiosity_coefficient"] = self._coefficient(self._hunger)
         if observation is not None:

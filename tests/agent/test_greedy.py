@@ -139,6 +139,8 @@ def test_each_policy_holds_the_rate_at_a_price_of_its_own():
     assert agent.log_temperature[0] > before[0]
     assert agent.log_temperature[1] < before[1]
     assert agent.temperature == pytest.approx(agent.log_temperature[1].exp().item())
+    greedy = agent.metrics()["greedy_temperature"].item()
+    assert greedy == pytest.approx(agent.log_temperature[0].exp().item()) != agent.temperature
 
 
 @pytest.mark.parametrize("options", [{"greedy_share": 0.0}, {"hunger": "random"}])
