@@ -573,6 +573,15 @@ def test_what_is_said_of_layer_normalisation_is_what_was_measured():
         f"seed 100, the default's area is {own}, that of all critics {all_critics} and that of "
         f"the critics of reward {of_reward}."
     ) in page
+    hops = [
+        f"{area['Hopper-v5', agent][seed]:.0f}"
+        for agent in ("critics of reward", "default")
+        for seed in (100, 101)
+    ]
+    assert (
+        "areas of {} and {} on the first two seeds, where the default has {} and {},".format(*hops)
+        in page
+    )
 
 
 def test_what_is_said_of_the_width_of_kernels_is_what_was_measured():
