@@ -106,8 +106,11 @@ class StackedMLP(nn.Module):
         if value.ndim == 2:
             value = value.repeat(self.members, 1, 1)
         for layer in self.layers[:-1]:
-            first, rest = layer(value).tensor_split([self.normalized])
-            value = torch.relu(torch.cat([normalize_layer(first, first.shape[-1:]), rest]))
+            value = layer(value)
+            if self.normalized:
+                first, rest = value.tensor_split([self.normalized])
+                value = torch.cat([normalize_layer(first, first.shape[-1:]), rest])
+            value = torch.relu(value)
         return value
 
 
