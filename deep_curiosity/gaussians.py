@@ -128,7 +128,17 @@ class DiagonalMixture(NamedTuple):
         return _component_of(self.loc, component), _component_of(self.log_var, component)
 
     def coordinates(self, index: Sequence[int]) -> "DiagonalMixture":
-        """The mixture's marginal over some coordinates, which is exact."""
+        """The mixture's marginal over some coordinates, which is exact.
+
+        Args:
+            index: Of each coordinate, from the end where negative.
+
+        Raises:
+            ValueError: If there is none, or one is no coordinate.
+        """
+        dim = self.loc.shape[-1]
+        if not index or not all(-dim <= i < dim for i in index):
+            raise ValueError(f"`index` must name coordinates of {dim}, got {list(index)}.")
         return DiagonalMixture(
             _columns(self.loc, index), _columns(self.log_var, index), self.log_weight
         )

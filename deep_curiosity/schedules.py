@@ -42,9 +42,12 @@ class Schedule:
             raise ValueError(f"`shape` must be one of {get_args(Shape)}, got {self.shape!r}.")
         for name in ("first", "last"):
             value = getattr(self, name)
-            if (value is not None or name == "first") and not (is_number(value) and value > 0):
+            if value is None and name == "last":
+                continue
+            if not (is_number(value) and value > 0):
                 check_number_kind(**{name: value})
                 raise ValueError(f"`{name}` must be finite and positive, got {value!r}.")
+            object.__setattr__(self, name, float(value))  # NumPy's are written otherwise
         if (self.shape == "constant") != (self.last is None):
             raise ValueError(
                 "`last` must be left out where the shape is 'constant', and nowhere else, "
@@ -86,12 +89,19 @@ class Schedule:
         progress = min(progress, 1.0)
         if self.last is None:
             return self.first
-        if self.shape == "linear":
-            return self.first + progress * (self.last - self.first)
         if self.shape == "plateaus":
             plateau = min(math.floor(progress * NUM_PLATEAUS), NUM_PLATEAUS - 1)
             progress = plateau / (NUM_PLATEAUS - 1)
-        ratio = self.last / self.first
+        if progress == 1:
+            return self.last
+        least, most = sorted((self.first, self.last))
+        return min(max(self._between(self.first, self.last, progress), least), most)
+
+    def _between(self, first: float, last: float, progress: float) -> float:
+        """Value between both ends, but for rounding."""
+        if self.shape == "linear":
+            return first + progress * (last - first)
+        ratio = last / first
         if sys.float_info.min <= ratio < math.inf:
-            return self.first * ratio**progress
-        return self.first ** (1 - progress) * self.last**progress  # of ends too far apart
+            return first * ratio**progress
+        return first ** (1 - progress) * last**progress  # of ends too far apart

@@ -57,8 +57,8 @@ class Sequences(NamedTuple):
 
     def known(self, bonus: Float[Tensor, " steps"]) -> "Sequences":
         """The same sequences as far as their bonus is known, which is not NaN."""
-        alive = self.alive.clone()
-        alive.flatten()[: len(bonus)] &= ~bonus.isnan()
+        alive = self.alive.clone(memory_format=torch.contiguous_format)  # written to as one row
+        alive.view(-1)[: len(bonus)] &= ~bonus.isnan()
         return Sequences(self.steps, alive.cumprod(0).bool())
 
     def last(self, num_steps: int) -> Transition:

@@ -379,6 +379,12 @@ def test_coordinates_are_those_named_in_their_order(index):
     assert some.log_var.equal(mixture.log_var[..., index])
 
 
+@pytest.mark.parametrize("index", [[3], [0, -4], []])
+def test_coordinates_that_there_are_not_are_refused(index):
+    with pytest.raises(ValueError, match=r"`index` must name coordinates of 3, got \["):
+        random_mixture(3, 3).coordinates(index)
+
+
 def test_entropy_of_a_mixture_is_below_that_of_quadrature_and_of_one_component_exact():
     axis = torch.linspace(-12, 12, 4_001).unsqueeze(-1)
     mixture = two_components(0.3)

@@ -3,6 +3,7 @@ from fractions import Fraction
 from itertools import pairwise
 
 import jaxtyping
+import numpy as np
 import pytest
 
 from deep_curiosity.schedules import Schedule
@@ -45,6 +46,21 @@ def test_ends_whose_ratio_is_no_float_are_as_far_from_the_middle(shape, ends):
     logs = [math.log(value) for value in values]
     assert logs == sorted(logs, reverse=ends[0] > ends[1])
     assert [a + b for a, b in zip(logs, reversed(logs), strict=True)] == pytest.approx([0] * 10)
+
+
+@pytest.mark.parametrize("shape", ["linear", "exponential", "plateaus"])
+@pytest.mark.parametrize("ends", [(1e10, 1e-10), (0.07, 1e-10), (7, 1e6), (0.3, 0.1)])
+def test_a_schedule_reaches_its_end_and_never_leaves_what_lies_between(shape, ends):
+    schedule = Schedule(*ends, shape)
+    values = [schedule(step / 1_000) for step in range(1_001)]
+    assert values[-1] == ends[1]
+    assert min(ends) == min(values) and max(values) == max(ends)
+
+
+def test_ends_of_any_kind_of_number_are_written_and_read_back():
+    schedule = Schedule(np.float64(0.5), 2.0, "linear")
+    assert schedule == Schedule.parse(str(schedule)) and str(schedule) == "linear:0.5:2.0"
+    assert str(Schedule.parse("constant:2")) == "constant:2.0"
 
 
 def test_the_middle_of_far_ends_is_their_geometric_mean():

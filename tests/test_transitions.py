@@ -156,6 +156,14 @@ def test_an_unknown_bonus_ends_what_is_known_of_a_sequence():
     assert alive[1].all()  # the sequences themselves stay
 
 
+def test_it_does_so_in_a_mask_that_was_turned():
+    batch = Transition(*(torch.zeros(6, 2), torch.zeros(6, 1), torch.zeros(6)), *_ends(6))
+    turned = torch.ones(2, 3).bool().mT  # of a mask whose axes were (batch, num_steps)
+    known = Sequences(batch, turned).known(torch.tensor([0.0, 1.0, math.nan, 2.0]))
+    assert known.alive.tolist() == [[True, True], [False, True], [False, True]]
+    assert turned.all()
+
+
 def _ends(number):
     return torch.zeros(number, 2), torch.zeros(number).bool(), torch.zeros(number).bool()
 

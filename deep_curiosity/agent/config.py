@@ -12,7 +12,7 @@ from deep_curiosity.configuration import (
     setting,
 )
 from deep_curiosity.schedules import Schedule
-from deep_curiosity.transitions import is_number
+from deep_curiosity.transitions import is_number, is_whole_number
 
 DEFAULT_GREEDY_SHARE = 0.25
 TEMPERATURES = (
@@ -36,12 +36,14 @@ class ConditionedHunger:
     Args:
         source: Who chooses it while the agent acts: it is `"fixed"`; `"random"`, sampled for each
             episode; chosen by a `"bandit"` for what it earns; or read off a `"battery"`.
-        value: The fixed hunger, and the one of the agent before anyone has chosen, in [0, 1].
+        value: The fixed hunger, in [0, 1]; 1 until another source has chosen.
         entry: Entry of the observation, or of `info` by its name, that holds the charge of the
             battery, from 0 to 1.
 
     Raises:
-        ValueError: If the source is unknown or the value outside [0, 1].
+        TypeError: If the entry is neither a whole number nor a name.
+        ValueError: If the source is unknown, the value outside [0, 1], or an argument is about
+            another source.
     """
 
     source: HungerSource = "fixed"
@@ -56,6 +58,25 @@ class ConditionedHunger:
             )
         if not (is_number(self.value) and 0 <= self.value <= 1):
             raise ValueError(f"`hunger` must lie in [0, 1] where conditioned, got {self.value!r}.")
+        object.__setattr__(self, "value", float(self.value))  # NumPy's is written otherwise
+        if self.source != "fixed" and self.value != 1:
+            raise ValueError(
+                f"`value` must be left out where the source is {self.source!r}, got {self.value}."
+            )
+        self._check_entry()
+
+    def _check_entry(self) -> None:
+        """Reject an entry that is none, or that its text would not be read back as."""
+        if self.source != "battery" and self.entry != -1:
+            raise ValueError(
+                f"`entry` must be left out where the source is {self.source!r}, "
+                f"got {self.entry!r}."
+            )
+        if isinstance(self.entry, str):
+            if not self.entry or _is_index(self.entry):
+                raise ValueError(f"`entry` must be a name or a number, got {self.entry!r}.")
+        elif not is_whole_number(self.entry):
+            raise TypeError(f"`entry` must be a whole number or a name, got {self.entry!r}.")
 
     @classmethod
     def parse(cls, text: str) -> "ConditionedHunger":
@@ -68,8 +89,7 @@ class ConditionedHunger:
             raise TypeError(f"`text` must be text, such as conditioned:0.5, got {text!r}.")
         source, _, detail = text.partition(":")
         if source == "battery":
-            is_number = detail.removeprefix("-").isdecimal()
-            return cls("battery", entry=int(detail) if is_number else detail or -1)
+            return cls("battery", entry=int(detail) if _is_index(detail) else detail or -1)
         if text in ("random", "bandit"):
             return cls(text)  # type: ignore[arg-type]  # one of the two
         try:
@@ -88,6 +108,10 @@ class ConditionedHunger:
         if self.source == "fixed":
             return f"conditioned:{self.value!r}"
         return f"battery:{self.entry}" if self.source == "battery" else self.source
+
+
+def _is_index(text: str) -> bool:
+    return text.removeprefix("-").isdecimal()
 
 
 @dataclass(frozen=True)

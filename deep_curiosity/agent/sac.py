@@ -198,8 +198,8 @@ class CuriousSAC(nn.Module):
         fixed = ADAPTIVE if coefficient == "adaptive" else coefficient
         prices = torch.zeros(1 + self.has_greedy_policy)  # greedy, curious
         self.log_temperature = nn.Parameter(prices, requires_grad=self.tunes_temperature)
-        self.register_buffer("_hunger", torch.tensor(_first_hunger(config)))
-        self.register_buffer("_fixed_coefficient", torch.tensor(fixed))
+        self.register_buffer("_hunger", torch.tensor(float(_first_hunger(config))))
+        self.register_buffer("_fixed_coefficient", torch.tensor(float(fixed)))
         # what densities integrate to, in logs: uniform ones have density one on the action box
         of_greed = [[self.prior.log_volume]] * self.has_greedy_policy
         excess = torch.tensor([*of_greed, [self.prior.log_excess]])
@@ -252,6 +252,10 @@ class CuriousSAC(nn.Module):
     @curiosity_coefficient.setter
     def curiosity_coefficient(self, value: float) -> None:
         _check_number("curiosity_coefficient", value, at_least=0.0, at_most=MOST_HUNGER)
+        if value and not self.curiosity:
+            raise ValueError(
+                f"`curiosity_coefficient` must be 0 where there is no curiosity, got {value}."
+            )
         self._fixed_coefficient.fill_(value)
 
     @property
@@ -402,6 +406,10 @@ class CuriousSAC(nn.Module):
         Args:
             observation: States as the agent meets them, over which the information that actions
                 carry about them is estimated from both sides; left out without.
+
+        Raises:
+            TypeError: If the observation has the wrong kind.
+            ValueError: If it has the wrong shape, fewer than two rows, or holds NaN or infinity.
         """
         metrics = {"hunger": self._hunger.clone()} | self.prior.metrics()
         if self.has_greedy_policy:
@@ -412,6 +420,10 @@ class CuriousSAC(nn.Module):
         if observation is not None:
             dtype = self.log_temperature.dtype
             check_inputs(dtype, observation=(observation, self.observation_dim))
+            if len(observation) < 2:
+                raise ValueError(
+                    f"`observation` must have at least 2 rows, got {len(observation)}."
+                )
             policy = self.policy(self.policy_input(observation), -1)
             with torch.random.fork_rng():  # leaves the global stream where it is
                 torch.manual_seed(0)

@@ -37,6 +37,7 @@ LEAST_MEMORY = 40.0  # rows, however small batches are: fewer tell of no standar
 STATISTICS_REACH = 10.0  # scales within which a row counts as it is: one alone must not rule them
 INPUT_MEMORY = 51_200.0  # rows after which old ones fade; replay widens as it fills
 INPUT_SIZES = 0.1, 10.0  # root mean squares that a network is shown as they are
+ABSURD = 1e4  # sizes of a feature, at which it is cut where it keeps its unit
 INPUT_FLOOR = 1e-16  # mean square of what is noise of arithmetic, and stays as it is
 FEW_TO_COMPARE = 4  # rows of a batch below which it does not tell what rests
 BONUS_BOUND = 5.0  # standard deviations at which a bonus is cut, so that no tail rules
@@ -124,6 +125,8 @@ class RunningMoments(nn.Module):
     @torch.no_grad()
     def update(self, value: Float[Tensor, "batch dim"]) -> None:
         """Merge a batch by the parallel formula of Chan, Golub and LeVeque (1979)."""
+        if not len(value):
+            return
         self._merge(value)
         self._set_units()
 
@@ -282,7 +285,8 @@ class InputScaling(nn.Module):
     """Brings each feature to a root mean square between 0.1 and 10.
 
     It is that of the other rows where a feature is zero in most, such as a flag that is seldom
-    set. A feature within these keeps its unit exactly. None is shifted: a mean that follows what
+    set. A feature within these keeps its unit exactly, and is cut at ten thousand of its sizes:
+    one such row would stop what learns from it for good. None is shifted: a mean that follows what
     is learned from would move all that a network has learned, most where nearly equal states must
     be told apart, such as those of a pole that is held upright.
 
@@ -297,7 +301,8 @@ class InputScaling(nn.Module):
     gain: Tensor
     """Factor of each feature; one until its root mean square is above 1e-8."""
     bound: Tensor
-    """Where each feature is cut, once scaled: ten of its sizes if it is widened."""
+    """Where each feature is cut, once scaled: at ten of its sizes if it is widened, else at ten
+    thousand; nowhere while it has no size."""
     reach: Tensor
     """Value above which none counts for more: ten sizes of its feature, once there is a size."""
 
@@ -316,6 +321,8 @@ class InputScaling(nn.Module):
     @torch.no_grad()
     def update(self, value: Float[Tensor, "batch dim"]) -> None:
         """Let a batch count; no entry of it for more than ten sizes of its feature."""
+        if not len(value):
+            return
         square = value.clamp(-self.reach, self.reach).square().mean(0)
         self.count.add_(len(value)).clamp_(max=max(INPUT_MEMORY, len(value)))
         share = len(value) / self.count
@@ -334,7 +341,8 @@ class InputScaling(nn.Module):
         size = torch.where(rests, least, (self.square / self.moving).sqrt())
         self.reach.copy_(torch.where(rests, LARGEST, WHITENED_BOUND * size))
         self.gain.copy_(size.clamp(least, most) / size)
-        self.bound.copy_(torch.where(self.gain > 1, WHITENED_BOUND * least, torch.inf))
+        absurd = torch.where(rests, torch.inf, ABSURD * size.clamp(max=most))
+        self.bound.copy_(torch.where(self.gain > 1, WHITENED_BOUND * least, absurd))
 
 
 WHITENINGS: dict[str, Callable[[int], RunningMoments]] = {

@@ -1,5 +1,6 @@
 import math
 
+import numpy as np
 import pytest
 
 from deep_curiosity.agent.config import AgentConfig, ConditionedHunger
@@ -48,6 +49,25 @@ def test_a_conditioned_hunger_outside_its_range_is_refused(value):
         ConditionedHunger(value=value)
     with pytest.raises(ValueError, match=rule):
         ConditionedHunger.parse(f"conditioned:{value}")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"source": "random", "value": 0.3}, "`value` must be left out .* 'random', got 0.3"),
+        ({"source": "bandit", "entry": 2}, "`entry` must be left out .* 'bandit', got 2"),
+        ({"source": "battery", "entry": "3"}, "`entry` must be a name or a number, got '3'"),
+        ({"source": "battery", "entry": ""}, "`entry` must be a name or a number, got ''"),
+    ],
+)
+def test_what_a_conditioned_hunger_would_not_be_read_back_with_is_refused(arguments, message):
+    with pytest.raises(ValueError, match=message):
+        ConditionedHunger(**arguments)
+
+
+def test_a_conditioned_hunger_of_numpy_is_written_as_a_number():
+    hunger = ConditionedHunger(value=np.float64(0.5))
+    assert ConditionedHunger.parse(str(hunger)) == hunger
 
 
 def test_an_unknown_source_of_hunger_is_refused():

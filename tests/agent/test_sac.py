@@ -15,6 +15,7 @@ from deep_curiosity.agent.sac import CuriousSAC, sample_hunger
 from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.bonuses.baselines import ConstantBonus
 from deep_curiosity.gaussians import DiagonalMixture
+from deep_curiosity.schedules import Schedule
 from deep_curiosity.speed.compile import seal_modules
 from deep_curiosity.transitions import Sequences, Transition, as_sequences
 
@@ -1075,6 +1076,25 @@ def test_where_conditioned_the_hunger_is_at_most_one():
     agent = conditioned_agent()
     with pytest.raises(ValueError, match=rule):
         agent.hunger = 2.0
+
+
+@pytest.mark.parametrize("hunger", [ConditionedHunger(), Schedule.parse("constant:1"), 1])
+def test_a_hunger_that_began_as_a_whole_number_may_be_set_to_any(hunger):
+    agent = CuriousSAC.default(3, 2, hidden_dim=16, hunger=hunger)
+    agent.hunger = 0.5
+    assert agent.hunger == 0.5
+
+
+def test_an_agent_without_curiosity_takes_no_weight_of_it():
+    agent = plain_agent()
+    agent.curiosity_coefficient = 0.0
+    with pytest.raises(ValueError, match="`curiosity_coefficient` must be 0 where there is no"):
+        agent.curiosity_coefficient = 0.5
+
+
+def test_information_of_actions_is_asked_for_of_two_states_or_more():
+    with pytest.raises(ValueError, match="`observation` must have at least 2 rows, got 1"):
+        small_agent().metrics(torch.zeros(1, 3))
 
 
 def test_curiosity_that_is_switched_off_does_not_move_the_actor():

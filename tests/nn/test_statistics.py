@@ -425,6 +425,24 @@ def test_what_begins_to_move_late_drowns_no_other_feature():
     assert scaling(torch.tensor([2.0, 5.0])).tolist() == [2.0, 5.0]
 
 
+def test_one_absurd_value_is_cut_before_it_reaches_a_network():
+    scaling = InputScaling(3)
+    units = torch.tensor([1.0, 400.0, 0.0])
+    scaling.update(torch.randn(4_096, 3) * units)
+    seen = scaling(torch.full((3,), -5e13))
+    torch.testing.assert_close(seen[:2], torch.tensor([-1e4, -1e5]), rtol=0.05, atol=0)
+    assert seen[2] == -5e13  # of which no size is known yet
+
+
+def test_no_rows_change_no_statistics():
+    scaling, moments = InputScaling(1), RunningMoments(1)
+    for each in (scaling, moments):
+        each.update(torch.randn(9, 1))
+        before = {name: value.clone() for name, value in each.state_dict().items()}
+        each.update(torch.zeros(0, 1))
+        assert all(value.equal(before[name]) for name, value in each.state_dict().items())
+
+
 @pytest.mark.parametrize("absurd", [1e6, -3e38])
 def test_an_absurd_row_leaves_a_size_where_it_is(absurd):
     scaling = InputScaling(1)
