@@ -118,7 +118,9 @@ def read_runs(folders: Sequence[Path], group_by: Sequence[str] = ()) -> list[Run
         raise ValueError(f"`group_by` must be settings of the runs, got {', '.join(unknown)}.")
     names = group_by or _differing(settings)
     return [
-        RunCurves(folder, _task_of(values), _agent_of(values, names), rows, _was_stopped(folder))
+        RunCurves(
+            folder, _task_of(values), _agent_of(values, names), rows, _was_stopped(folder, rows)
+        )
         for folder, (values, rows) in found.items()
     ]
 
@@ -169,11 +171,16 @@ def _untimed(rows: list[dict[str, float]]) -> list[dict[str, str]]:
     ]
 
 
-def _was_stopped(folder: Path) -> bool:
-    """Whether a callback has ended a run; one that a signal cut off would have gone on."""
+def _was_stopped(folder: Path, rows: list[dict[str, float]]) -> bool:
+    """Whether a callback has ended a run; one that a signal cut off would have gone on.
+
+    So would one that was continued since, beyond the step of its summary.
+    """
     try:
         summary = json.loads((folder / SUMMARY).read_text())
-        return bool(summary["stopped_by"] == CALLBACK)
+        return bool(
+            summary["stopped_by"] == CALLBACK and summary["total_steps"] >= rows[-1]["step"]
+        )
     except (OSError, ValueError, KeyError, TypeError):  # it has not ended, or nothing is known
         return False
 

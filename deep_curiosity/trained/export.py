@@ -66,7 +66,8 @@ class Actor(nn.Module):
         """Centre of the policy, in units of the task.
 
         Args:
-            observation: `(batch, observation_dim)`; windows where the run stacked frames.
+            observation: `(batch, observation_dim)`; windows where the run stacked frames, whose
+                actions lie in [-1, 1].
             hunger: `(batch, 1)`, of a run that is conditioned on it.
         """
         value = self._cut(observation)

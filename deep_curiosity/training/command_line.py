@@ -144,7 +144,7 @@ def read_file(path: Path) -> dict[str, Any]:
     """
     try:
         values = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RecursionError) as error:
         kind = type(error) if isinstance(error, FileNotFoundError) else ValueError
         raise kind(f"`settings` must name a JSON file, got {path}: {error}.") from error
     if not isinstance(values, dict):

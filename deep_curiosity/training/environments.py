@@ -41,6 +41,7 @@ from deep_curiosity.training.wrappers import (
     SyncEnvironments,
     VectorObservation,
 )
+from deep_curiosity.transitions import is_whole_number
 from deep_curiosity_envs.ids import registered_id
 
 GOAL_ENDS_EPISODE = frozenset(
@@ -216,9 +217,16 @@ class EnvironmentMaker:
 
     Args:
         make_env: The function. Where this is pickled, it is all that is.
+
+    Raises:
+        TypeError: If it is no function, such as an environment.
     """
 
     def __init__(self, make_env: MakeEnv) -> None:
+        if not callable(make_env):
+            raise TypeError(
+                f"`make_env` must be a function that makes an environment, got {make_env!r}."
+            )
         self.make_env = make_env
         self._made: WeakValueDictionary[tuple[int, int], gymnasium.Env] = WeakValueDictionary()
 
@@ -375,8 +383,12 @@ def _is_vector(space: spaces.Space) -> bool:
 
 
 def num_cells(environment: gymnasium.Env) -> int | None:
-    """Number of cells a task divides its space into, or `None` where it has none."""
-    return getattr(environment.unwrapped, "num_cells", None)
+    """Number of cells a task divides its space into, or `None` where it has none.
+
+    What is no such number means something else in this task.
+    """
+    number: Any = getattr(environment.unwrapped, "num_cells", None)
+    return int(number) if is_whole_number(number) and number > 0 else None
 
 
 def picture_features(config: EnvironmentConfig) -> tuple[int, int]:

@@ -7,7 +7,7 @@ require_training()
 
 import traceback
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 
 import gymnasium
@@ -26,22 +26,36 @@ class EnvironmentFailedError(RuntimeError):
 def environment_failure(
     config: Config, error: BaseException, activity: str, *, step: int, kept: str
 ) -> EnvironmentFailedError:
-    """An error that says which environment failed where, and how to go on.
+    """An error that says which environment failed where.
 
     Args:
         config: Settings of the run.
         error: What the environment raised.
         activity: What it was stepped for.
         step: The last step that is complete.
-        kept: What is saved of the run.
+        kept: What is saved of the run, and how to go on with it.
     """
     own, index = config.environment, failed_index(error)
     which = "" if index is None else f", number {index} of {own.num_envs}"
     return EnvironmentFailedError(
         f"`env_id` must name an environment that steps and resets without an error, got "
         f"{type(error).__name__}: {error}, from {own.env_id}{which}, in {activity} after step "
-        f"{step}; {kept}; continue with --resume {config.run.out}."
+        f"{step}; {kept}."
     )
+
+
+def way_on(config: Config, functions: Sequence[str] = ()) -> str:
+    """How to continue a run.
+
+    Args:
+        config: Its settings.
+        functions: Arguments by which the caller gave functions, which no folder holds.
+    """
+    out = config.run.out
+    if not functions:
+        return f"continue with --resume {out}"
+    given = "".join(f", {name}=..." for name in functions)
+    return f"continue with deep_curiosity.continue_run({str(out)!r}{given})"
 
 
 def failed_index(error: BaseException) -> int | None:

@@ -38,16 +38,25 @@ def plot_run(folder: Path) -> Path:
     returns, bonus, states = figure.subplots(1, 3)
     _plot_returns(returns, columns, state["run_log"]["episodes"])
     _plot_bonus(bonus, columns)
+    replay = state["learner"]["replay"]
     if config.environment.env_id == MADE_BY_FUNCTION:
-        features = 0, state["collector"]["observation"].shape[-1] - 1
+        window = state["collector"]["observation"].shape[-1]
+        features = _ends_of_newest(window, replay, config.environment.frame_stack)
     else:
         features = picture_features(config.environment)
-    _plot_states(states, _in_order(state["learner"]["replay"]), features)
+    _plot_states(states, _in_order(replay), features)
     title = f"{config.environment.env_id}, bonus {config.bonus.kind}, seed {config.run.seed}"
     figure.suptitle(title)
     path = folder / PICTURE
     figure.savefig(path, dpi=110)
     return path
+
+
+def _ends_of_newest(window: int, replay: dict[str, Any], num_frames: int) -> tuple[int, int]:
+    """First and last entry of the newest observation of a window of so many entries."""
+    action_dim = replay["rows"].shape[-1] - 2 * window - 3  # reward and both ends are the others
+    size = (window - (num_frames - 1) * action_dim) // num_frames
+    return window - size, window - 1
 
 
 def _in_order(replay: dict[str, Any]) -> np.ndarray:

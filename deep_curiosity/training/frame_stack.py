@@ -20,6 +20,9 @@ from deep_curiosity.training.wrappers import real_dtype
 class FrameStack(gymnasium.Wrapper):
     """Shows a window in the place of the observation.
 
+    What a run has learned is of windows with actions in [-1, 1]: of a task with another box they
+    come from `FrameStack(RescaleAction(env, -1, 1), num_frames)`.
+
     Args:
         env: Its observations and actions are vectors.
         num_frames: Observations in a window; actions are one fewer.

@@ -114,8 +114,7 @@ def train(
         summary = run.write_summary(stopped_by)
         _plot(run.folder)
         if show_progress and not run.finished:
-            out, step = run.config.run.out, run.run_log.step
-            print(f"Stopped at step {step}; continue with --resume {out}")
+            print(f"Stopped at step {run.run_log.step}; {run.way_on}")
         return summary
 
 
@@ -235,7 +234,12 @@ def continue_run(
     """
     if total_steps is not None:
         settings["total_steps"] = total_steps
-    config = read_config(as_path("folder", folder)).override(**settings)
+    path = as_path("folder", folder)
+    if as_path("out", settings.get("out", path)).resolve() != path.resolve():
+        raise ValueError(
+            f"`out` must be left out where a run is continued in {path}, got {settings['out']}."
+        )
+    config = read_config(path).override(**settings)
     return train(
         config,
         resume=True,

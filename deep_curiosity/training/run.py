@@ -59,6 +59,7 @@ from deep_curiosity.training.failure import (
     closed_at_the_end,
     environment_failure,
     note,
+    way_on,
 )
 from deep_curiosity.training.hindsight import GoalFunctionError, make_hindsight
 from deep_curiosity.training.hunger import HungerFunction
@@ -228,7 +229,7 @@ class Run:
                 error,
                 activity,
                 step=self.run_log.step,
-                kept=self._save_what_is_left(),
+                kept=f"{self._save_what_is_left()}; {self.way_on}",
             ) from error
 
     @contextmanager
@@ -237,9 +238,18 @@ class Run:
         try:
             yield
         except RAISED as error:
-            self.error_of_caller, out = error, self.config.run.out
-            note(error, f"{self._save_what_is_left()}; continue with --resume {out}.")
+            self.error_of_caller = error
+            note(error, f"{self._save_what_is_left()}; {self.way_on}.")
             raise
+
+    @property
+    def way_on(self) -> str:
+        """How to continue the run, in words."""
+        functions = {
+            "make_env": self.config.environment.env_id == MADE_BY_FUNCTION,
+            "hunger": self.learner.has_hunger_function,
+        }
+        return way_on(self.config, [name for name, is_given in functions.items() if is_given])
 
     def _save_what_is_left(self) -> str:
         """Save after an error; what is kept, in words."""

@@ -137,7 +137,9 @@ def test_a_run_that_was_stopped_keeps_its_last_value_while_others_go_on(tmp_path
         is_solved = seed < 6
         write_run(tmp_path / f"{seed}", config, [0.0, 100.0] if is_solved else [0.0] * 5)
         if is_solved:
-            (tmp_path / f"{seed}" / "summary.json").write_text('{"stopped_by": "callback"}')
+            (tmp_path / f"{seed}" / "summary.json").write_text(
+                '{"total_steps": 1000, "stopped_by": "callback"}'
+            )
     runs = read_runs(find_runs([tmp_path]))
     panel = page_data(runs, ["eval/return"])["curves"]["PointMaze"]["eval/return"]
     (agent,) = panel["agents"].values()
@@ -145,10 +147,14 @@ def test_a_run_that_was_stopped_keeps_its_last_value_while_others_go_on(tmp_path
     assert agent["runs"][str(tmp_path / "0")] == [0.0, 100.0, None, None, None]
 
 
-def test_a_run_that_a_signal_cut_off_ends_where_it_was(tmp_path):
+@pytest.mark.parametrize(
+    ("end", "by"),
+    [(1_000, "SIGINT"), (500, "callback")],  # the latter went on, and was cut off before it saved
+)
+def test_a_run_that_a_signal_cut_off_ends_where_it_was(tmp_path, end, by):
     for seed, returns in enumerate([[0.0, 50.0], [0.0, 50.0, 100.0]]):
         write_run(tmp_path / f"{seed}", Config.of(env_id="PointMaze", seed=seed), returns)
-    (tmp_path / "0" / "summary.json").write_text('{"total_steps": 1000, "stopped_by": "SIGINT"}')
+    (tmp_path / "0" / "summary.json").write_text(f'{{"total_steps": {end}, "stopped_by": "{by}"}}')
     panel = page_data(read_runs(find_runs([tmp_path])), ["eval/return"])["curves"]["PointMaze"]
     (agent,) = panel["eval/return"]["agents"].values()
     assert agent["value"] == [0.0, 50.0, 100.0]

@@ -121,7 +121,10 @@ def test_an_error_of_the_callers_own_function_loses_nothing(tiny, tmp_path, name
     with pytest.raises(ConnectionError, match="service") as raised:
         train(halted, show_progress=False, **{name: fails})
     (note,) = raised.value.__notes__
-    assert note == f"all up to step {fails_at} is saved; continue with --resume {halted.run.out}."
+    way = f"--resume {halted.run.out}"
+    if name == "hunger":
+        way = f"deep_curiosity.continue_run('{halted.run.out}', hunger=...)"
+    assert note == f"all up to step {fails_at} is saved; continue with {way}."
     continue_run(halted.run.out, show_progress=False, **{name: works})
     rows = [read_progress(config.run.out) for config in (whole, halted)]
     for row in (row for table in rows for row in table):

@@ -328,7 +328,8 @@ def test_settings_are_read_from_a_file_and_flags_go_before_it(tmp_path):
     path.write_text('{"learning_rate": 0.01, "batch_size": 64, "bonus": "rnd", "out": "else"}')
     found = read("--settings", path, "--batch-size", 32)
     assert found == Config.of(learning_rate=0.01, batch_size=32, bonus="rnd")
-    for text, message in (("{", "`settings` must name a JSON file"), ("[]", "names and values")):
+    wrong = "`settings` must name a JSON file"
+    for text, message in (("{", wrong), ("[" * 99_999, wrong), ("[]", "names and values")):
         path.write_text(text)
         with pytest.raises(ValueError, match=message):
             read("--settings", path)

@@ -388,6 +388,18 @@ def test_a_task_without_a_limit_is_told_of_and_cut_off():
     assert episode.length == 7
 
 
+def test_an_environment_in_the_place_of_a_function_is_refused():
+    with pytest.raises(TypeError, match=r"`make_env` must be a function that .*, got <"):
+        EnvironmentMaker(Task())
+
+
+@pytest.mark.parametrize(("own", "expected"), [(9, 9), (0, None), ((3, 4), None), (True, None)])
+def test_what_is_no_number_of_cells_means_something_else_in_a_task(own, expected):
+    environment = Task()
+    environment.num_cells = own
+    assert num_cells(environment) == expected
+
+
 def test_a_function_that_hands_out_one_environment_again_is_refused():
     one = Task()
     make = EnvironmentMaker(lambda: one)

@@ -8,6 +8,7 @@ from deep_curiosity.training.failure import (
     environment_failure,
     failed_index,
     note,
+    way_on,
 )
 from deep_curiosity.training.wrappers import SyncEnvironments
 
@@ -32,7 +33,18 @@ def test_the_one_of_several_environments_that_raised_is_named(kind):
     config = Config.of(env_id="Pendulum-v1", num_envs=3, out="runs/robot")
     told = str(environment_failure(config, raised.value, "training", step=6, kept="it is saved"))
     assert "got OSError: the link to the robot is down, from Pendulum-v1, number 2 of 3," in told
-    assert "in training after step 6; it is saved; continue with --resume runs/robot." in told
+    assert "in training after step 6; it is saved." in told
+
+
+@pytest.mark.parametrize(
+    ("functions", "expected"),
+    [
+        ([], "continue with --resume runs/a"),
+        (["hunger"], "continue with deep_curiosity.continue_run('runs/a', hunger=...)"),
+    ],
+)
+def test_what_no_folder_holds_is_given_again_to_go_on(functions, expected):
+    assert way_on(Config.of(out="runs/a"), functions) == expected
 
 
 def test_a_single_environment_has_no_number():

@@ -1,3 +1,6 @@
+from functools import partial
+
+import gymnasium
 import imageio.v2 as imageio
 import numpy as np
 import pytest
@@ -71,6 +74,13 @@ def test_the_states_are_those_visited_in_the_two_features_of_the_task(tiny, plot
     np.testing.assert_array_equal(points.get_offsets(), rows[:60, [0, 2]])
     assert points.get_array().tolist() == sorted(points.get_array().tolist())
     assert (states.get_xlabel(), states.get_ylabel()) == ("observation[0]", "observation[2]")
+
+
+def test_of_a_task_without_an_id_the_newest_frame_is_plotted(tiny, plotted):
+    config = tiny.override(env_id="make_env", env_kwargs={}, frame_stack=2)
+    train(config, make_env=partial(gymnasium.make, "Pendulum-v1"), show_progress=False)
+    _, _, states, _ = plotted(config.run.out)
+    assert (states.get_xlabel(), states.get_ylabel()) == ("observation[4]", "observation[6]")
 
 
 def test_the_states_go_from_the_oldest_to_the_newest_where_replay_is_full(tiny, plotted):

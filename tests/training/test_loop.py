@@ -312,6 +312,16 @@ def test_a_resumed_run_keeps_its_number_of_steps_unless_another_is_given(tiny):
     assert continue_run(tiny.run.out, show_progress=False)["total_steps"] == 60
 
 
+def test_a_run_is_continued_where_it_lies_and_nowhere_else(tiny, tmp_path):
+    train(tiny, show_progress=False)
+    other = tiny.override(out=tmp_path / "other")
+    train(other, show_progress=False)
+    with pytest.raises(ValueError, match=r"`out` must be left out where a run is .*, got .*other"):
+        continue_run(tiny.run.out, out=other.run.out, total_steps=80, show_progress=False)
+    assert rows(other.run.out)[-1]["step"] == "60"
+    assert continue_run(tiny.run.out, out=tiny.run.out, show_progress=False)["total_steps"] == 60
+
+
 def test_a_run_that_goes_on_with_the_next_episode_does_not_claim_to_be_the_same(tiny, capsys):
     train(tiny, show_progress=False)
     continue_run(tiny.run.out, total_steps=80, new_episode=True, show_progress=False)
