@@ -27,7 +27,9 @@ if TYPE_CHECKING:
 Vector = np.ndarray | Sequence[float] | float
 SEEDS = -(2**63), 2**64  # what torch's generators take, the last excluded
 FLAGS = "terminated", "truncated"
+SIZES = "observation_dim", "action_dim", "num_envs"
 UNENDED = 2**62  # in the place of the number of a row by which an episode ends
+REPEATED = 2.0  # in the place of 1 in the flags of a row that stands for a step that was none
 
 
 class ReplayBuffer:
@@ -105,7 +107,9 @@ class ReplayBuffer:
         try:
             with np.errstate(over="ignore"):  # what is too large becomes infinite, and is refused
                 row = np.concatenate(fields, axis=None, dtype=np.float32, casting="same_kind")
-            fits = [*map(np.size, fields)] == self._widths and bool(np.isfinite(row).all())
+            fits = type(row) is np.ndarray  # one with a masked field is none
+            fits = fits and [*map(np.size, fields)] == self._widths
+            fits = fits and bool(np.isfinite(row).all())
             fits = fits and terminated in (0, 1) and truncated in (0, 1)
         except (TypeError, ValueError, RuntimeError):
             fits = False
@@ -140,7 +144,8 @@ class ReplayBuffer:
             terminated: Whether the task ended.
             truncated: Whether the episode was cut off.
             sound: False where there was no step to learn from: what that environment stored last
-                stands there once more, in both places as the end of its episode.
+                stands there once more, in both places as the end of its episode. Where it has
+                stored nothing yet, the steps of the others beside it are left out as well.
 
         Raises:
             TypeError: If a value is no real number; nothing is then stored.
@@ -153,9 +158,11 @@ class ReplayBuffer:
         shapes = [vectors, actions, (num_rows,), vectors, (num_rows,), (num_rows,)]
         try:
             with np.errstate(over="ignore"):  # what is too large becomes infinite, and is refused
-                columns = [np.asarray(f).reshape(num_rows, -1) for f in fields]
+                columns = [np.asanyarray(f).reshape(num_rows, -1) for f in fields]
                 rows = np.concatenate(columns, axis=1, dtype=np.float32, casting="same_kind")
-            fits = [*map(np.shape, fields)] == shapes and bool(np.isfinite(rows).all())
+            fits = type(rows) is np.ndarray  # one with a masked field is none
+            fits = fits and [*map(np.shape, fields)] == shapes
+            fits = fits and bool(np.isfinite(rows).all())
             fits = fits and columns[-2].dtype == columns[-1].dtype == bool
         except (TypeError, ValueError, RuntimeError):
             fits = False
@@ -179,17 +186,20 @@ class ReplayBuffer:
 
         Every environment keeps its place in memory, by which a sequence finds its next step.
         """
+        num_first, begin = max(0, self.num_envs - self._num_added), 0  # before which nothing came
+        while not sound[begin : begin + num_first].all():  # begin with the next round
+            begin += self.num_envs
+        rows, sound = rows[begin:], sound[begin:]
         for index in np.flatnonzero(~sound).tolist():
             before = index - self.num_envs
-            if self._num_added + before < 0:  # nothing came before: begin with the next step
-                return self._end_before(rows[self.num_envs :], sound[self.num_envs :])
             if before >= 0:
                 last = rows[before]
             else:
                 last = self._rows[(self._num_added + before) % self.capacity]
-            if not last[-2]:
+            if not last[-2:].any():
                 last[-1] = 1.0
             rows[index] = last if before >= 0 else last.cpu().numpy()
+            rows[index, -2:] = REPEATED * (rows[index, -2:] > 0)
         return rows
 
     def sample(self, batch_size: int) -> Transition:
@@ -354,8 +364,11 @@ class ReplayBuffer:
         self._last, self._num_searched = None, 0
 
     def mean_episode_length(self) -> float:
-        """Transitions held for each episode that ended among them, or all while none did."""
-        ended = (self._rows[: len(self), -2:] > 0).any(-1).sum()
+        """Transitions held for each episode that ended among them, or all while none did.
+
+        Those that `extend` repeats, where there was no sound step, are held but end no episode.
+        """
+        ended = (self._rows[: len(self), -2:].amax(-1) == 1).sum()
         return len(self) / max(1, int(ended))
 
     def evenly_spaced(self, num_rows: int) -> Transition:
@@ -374,8 +387,9 @@ class ReplayBuffer:
         return self._transition(torch.cat([held[split:], held[:split]]))
 
     def state_dict(self) -> dict[str, Any]:
-        """Rows held and the state of the generator."""
+        """Rows held, the sizes of the buffer and the state of the generator."""
         return {
+            **{name: int(getattr(self, name)) for name in SIZES},
             "rows": self._rows[: len(self)].clone(),
             "bonus": self.bonus[: len(self)].clone(),
             "num_added": self._num_added,
@@ -384,7 +398,7 @@ class ReplayBuffer:
         }
 
     def load_state_dict(self, state: dict[str, Any]) -> None:
-        """Restore what `state_dict` gave, into a buffer of the same sizes.
+        """Restore what `state_dict` gave, into a buffer of the same sizes and environments.
 
         Raises:
             TypeError: If an entry has the wrong kind; nothing is then restored.
@@ -400,6 +414,7 @@ class ReplayBuffer:
                 f"`rows` must fit a buffer of shape {tuple(self._rows.shape)} after "
                 f"{num_added} additions, got {tuple(rows.shape)}."
             )
+        self._check_sizes(state)
         check_scalars("bonus", bonus, torch.float32)
         if len(bonus) != len(rows):
             raise ValueError(
@@ -430,7 +445,8 @@ class ReplayBuffer:
 
         Raises:
             TypeError: If an entry has the wrong kind.
-            ValueError: If an entry is missing, or the rows have other sizes.
+            ValueError: If an entry is missing, or the buffer has other sizes or environments;
+                nothing is then taken over.
         """
         _check_state(state, "rows", "num_added")
         rows = state["rows"]
@@ -438,19 +454,30 @@ class ReplayBuffer:
             raise ValueError(
                 f"`rows` must have {self._rows.shape[1]} entries, got {rows.shape[1:].numel()}."
             )
+        self._check_sizes(state)
         split = state["num_added"] % max(1, len(rows))
         rows = torch.cat([rows[split:], rows[:split]])  # oldest first
-        rows[-self.num_envs :, -1] = 1.0
         held = rows[-self.capacity :]
         self._rows[: len(held)] = held
         self.bonus.fill_(math.nan)  # which was of what stood there before
         self._num_added = len(held)
         self._num_taken = 0
-        self._last = None
-        self._num_searched = 0
+        self.cut_off()
+
+    def _check_sizes(self, state: Mapping[str, Any]) -> None:
+        """Reject the state of a buffer of other sizes; one that is older does not say."""
+        for name in SIZES:
+            own = getattr(self, name)
+            other = state.get(name, own)
+            if other != own:
+                raise ValueError(f"`{name}` must be {own}, that of this buffer, got {other!r}.")
 
     def to_torchrl(self) -> "TorchRLReplayBuffer":
         """Copy into a torchrl buffer under torchrl's usual keys.
+
+        Of several environments its storage has two dimensions, time and environment, and each goes
+        on in a place of its own. The oldest transitions are left out where not all environments
+        have one. The copy of an empty buffer is empty.
 
         Raises:
             ImportError: If torchrl is missing.
@@ -460,7 +487,8 @@ class ReplayBuffer:
         from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
 
         held = self.all()
-        buffer = TensorDictReplayBuffer(storage=LazyTensorStorage(self.capacity), batch_size=256)
+        storage = LazyTensorStorage(self.capacity, ndim=1 if self.num_envs == 1 else 2)
+        buffer = TensorDictReplayBuffer(storage=storage, batch_size=256)
         next_step = {
             "observation": held.next_observation,
             "reward": held.reward.unsqueeze(-1),
@@ -468,12 +496,15 @@ class ReplayBuffer:
             "truncated": held.truncated.unsqueeze(-1),
             "done": (held.terminated | held.truncated).unsqueeze(-1),
         }
-        buffer.extend(
-            TensorDict(
-                {"observation": held.observation, "action": held.action, "next": next_step},
-                batch_size=len(self),
-            )
+        steps = TensorDict(
+            {"observation": held.observation, "action": held.action, "next": next_step},
+            batch_size=len(self),
         )
+        num_rounds, num_left_over = divmod(len(self), self.num_envs)
+        if self.num_envs > 1:
+            steps = steps[num_left_over:].unflatten(0, (num_rounds, self.num_envs))
+        if num_rounds:
+            buffer.writer.extend(steps)  # `buffer.extend` fails on a single round
         return buffer
 
     @classmethod
@@ -564,7 +595,7 @@ def _check_number_of(name: str, number: Any, most: int) -> None:
         raise ValueError(f"`{name}` must be a whole number from 0 to {most}, got {number!r}.")
 
 
-def _as_vector(name: str, value: Vector, dim: int) -> np.ndarray:
+def _as_vector(name: str, value: Vector | bool, dim: int) -> np.ndarray:
     """A field of a transition as float32, `(dim,)`.
 
     Raises:

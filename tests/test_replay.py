@@ -128,6 +128,7 @@ def test_saved_state_stays_as_it_was_saved():
     assert numbers(restored.all()) == [0, 1, 2]
 
 
+RESTORES = pytest.mark.parametrize("restore", ["load_state_dict", "take_over"])
 BAD_STATES = [
     ("generator", torch.zeros(3), ValueError, "`generator` must be the state of one on cpu, got"),
     ("generator", torch.zeros(3).byte(), ValueError, "`generator` must be the state of one on"),
@@ -144,6 +145,9 @@ BAD_STATES = [
     ("rows", [[0.0] * 11] * 3, TypeError, "`rows` must be a tensor of torch.float32, got list"),
     ("num_added", 3.0, ValueError, "`num_added` must be a whole number from 0 to .*, got 3.0"),
     ("num_taken", 4, ValueError, "`num_taken` must be a whole number from 0 to 3, got 4"),
+    ("observation_dim", 4, ValueError, "`observation_dim` must be 3, that of this buffer, got 4"),
+    ("action_dim", None, ValueError, "`action_dim` must be 2, that of this buffer, got None"),
+    ("num_envs", 2, ValueError, "`num_envs` must be 1, that of this buffer, got 2"),
 ]
 
 
@@ -159,7 +163,7 @@ def test_a_state_that_is_refused_changes_nothing(name, value, error, message):
         assert held.equal(after[part]) if isinstance(held, torch.Tensor) else held == after[part]
 
 
-@pytest.mark.parametrize("restore", ["load_state_dict", "take_over"])
+@RESTORES
 def test_a_state_that_lacks_something_is_refused_by_its_name(restore):
     jaxtyping.config.update("jaxtyping_disable", True)  # whose own error would come first
     replay, state = filled(6), filled(3).state_dict()
@@ -179,6 +183,43 @@ def test_state_of_a_replay_of_other_sizes_is_rejected():
         with pytest.raises(ValueError, match="`rows` must fit"):
             other.load_state_dict(state)
         assert len(other) == 0
+
+
+@RESTORES
+def test_a_state_of_other_sizes_is_refused_though_its_rows_are_as_long(restore):
+    replay = ReplayBuffer(8, 2, 4)  # 11 numbers in a row, as in that of 3 and 2
+    with pytest.raises(
+        ValueError, match="`observation_dim` must be 2, that of this buffer, got 3"
+    ):
+        getattr(replay, restore)(filled(5).state_dict())
+    assert len(replay) == 0
+
+
+@RESTORES
+def test_a_state_of_other_environments_is_refused(restore):
+    replay = filled(3)
+    with pytest.raises(ValueError, match="`num_envs` must be 1, that of this buffer, got 2"):
+        getattr(replay, restore)(filled(6, num_envs=2).state_dict())
+    assert numbers(replay.all()) == [0, 1, 2]
+
+
+@RESTORES
+def test_an_older_state_that_does_not_say_its_sizes_is_restored(restore):
+    state = filled(12).state_dict()
+    for name in ("observation_dim", "action_dim", "num_envs"):
+        del state[name]
+    replay = filled(2)
+    getattr(replay, restore)(state)
+    assert numbers(replay.all()) == list(range(4, 12))
+
+
+@pytest.mark.parametrize("terminated", [False, True])
+def test_what_is_taken_over_is_cut_off_only_where_it_goes_on(terminated):
+    other, replay = ReplayBuffer(8, 3, 2), ReplayBuffer(8, 3, 2)
+    add(other, 1, terminated=terminated)
+    replay.take_over(other.state_dict())
+    assert replay.all().terminated.tolist() == [terminated]
+    assert replay.all().truncated.tolist() == [not terminated]
 
 
 GOOD = {
@@ -323,6 +364,56 @@ def test_seed_of_the_copy_decides_its_samples(torchrl_data):
     buffer = filled(8).to_torchrl()
     samples = [ReplayBuffer.from_torchrl(buffer, seed=seed).sample(50) for seed in (1, 1, 2)]
     assert equal(samples[0], samples[1]) and not equal(samples[0], samples[2])
+
+
+@pytest.mark.parametrize("num_envs", [1, 3])
+def test_a_torchrl_copy_of_an_empty_buffer_is_empty(torchrl_data, num_envs):
+    replay = ReplayBuffer(8, 3, 2, num_envs=num_envs)
+    assert len(replay.to_torchrl()) == 0
+
+
+def side_by_side(num_rounds, *, capacity, num_envs=3):
+    """Steps numbered 100 to the environment, each leading to the next; some were none."""
+    replay = ReplayBuffer(capacity, 1, 1, num_envs=num_envs)
+    zeros, never = np.zeros(num_envs), np.zeros(num_envs, dtype=bool)
+    for step in range(num_rounds):
+        observation = 100.0 * np.arange(num_envs)[:, None] + step
+        sound = np.arange(num_envs) != step - 4  # one after another, from the fifth round on
+        truncated = (np.arange(num_envs) + step) % 7 == 6
+        fields = observation, zeros[:, None], zeros, observation + 1, never, truncated
+        replay.extend(*fields, sound)
+    return replay
+
+
+@pytest.mark.parametrize("num_rounds", [1, 2, 9, 30])
+def test_each_environment_keeps_a_place_of_its_own_in_a_torchrl_copy(torchrl_data, num_rounds):
+    replay = side_by_side(num_rounds, capacity=20)  # room for six rounds and two steps
+    buffer = replay.to_torchrl()
+    held = buffer.storage[:]
+    assert held.batch_size == (min(num_rounds, 6), 3)
+    assert (held["observation"][..., 0] // 100).eq(torch.arange(3)).all()
+    newest = replay.newest(held.numel())
+    assert held["observation"].flatten(0, 1).equal(newest.observation)
+    assert held["next", "truncated"].flatten().equal(newest.truncated)
+    assert buffer.sample().batch_size == (256,)
+
+
+@pytest.mark.parametrize("num_rounds", [2, 9, 30])
+def test_sequences_stay_in_their_environment_after_a_round_trip(torchrl_data, num_rounds):
+    back = ReplayBuffer.from_torchrl(side_by_side(num_rounds, capacity=20).to_torchrl())
+    assert back.num_envs == 3
+    sequences = back.sample_sequences(300, 3)
+    step = sequences.steps.observation[:, 0].unflatten(0, (3, 300))
+    assert sequences.alive[1].any()
+    for before, after, alive in zip(step, step[1:], sequences.alive[1:], strict=False):
+        assert (after - before)[alive].eq(1).all()
+
+
+def test_a_torchrl_copy_of_several_environments_goes_on_in_each(torchrl_data):
+    buffer = side_by_side(2, capacity=18).to_torchrl()
+    buffer.extend(side_by_side(5, capacity=9).to_torchrl()[:])  # rounds 2, 3 and 4
+    back = ReplayBuffer.from_torchrl(buffer)
+    assert equal(back.all(), side_by_side(5, capacity=18).all())
 
 
 def batch(first, count):
@@ -487,6 +578,49 @@ def test_a_step_that_was_none_keeps_the_places_of_several_environments():
     assert followed == {(4, 6, 8), (6, 8), (8,), (5,), (9,)}
 
 
+def test_a_first_step_that_was_none_leaves_out_the_steps_beside_it():
+    replay = ReplayBuffer(6, 3, 2, num_envs=2)
+    replay.extend(*unended(0, 4), np.array([False, True, True, True]))
+    assert numbers(replay.all()) == [2, 3]
+
+
+def broken_episodes(num_episodes, capacity=1_000):
+    """Episodes of five steps, the last of which the environment ends with what is no step."""
+    replay = ReplayBuffer(capacity, 3, 2)
+    for episode in range(num_episodes):
+        for number in range(6):
+            replay.extend(*unended(10 * episode + number, 1), np.array([number < 5]))
+    return replay
+
+
+def test_an_episode_that_ends_in_steps_that_were_none_is_counted_once():
+    assert broken_episodes(20).mean_episode_length() == 6
+    assert broken_episodes(0).mean_episode_length() == 0
+    replay = broken_episodes(1)
+    replay.extend(*unended(0, 3), np.array([False, False, True]))
+    assert replay.mean_episode_length() == 9
+    add(replay, 1, terminated=True)
+    replay.extend(*unended(0, 2), np.array([False, False]))
+    assert replay.mean_episode_length() == 6
+
+
+def test_episodes_of_one_step_that_are_alike_are_counted_one_by_one():
+    replay = ReplayBuffer(8, 3, 2)
+    for _ in range(6):
+        replay.add(**GOOD | {"terminated": True})
+    assert replay.mean_episode_length() == 1
+    replay.add(**GOOD | {"terminated": True, "truncated": True})
+    assert replay.mean_episode_length() == 1
+
+
+@RESTORES
+def test_steps_that_were_none_are_told_from_ends_once_they_are_restored(restore):
+    replay = ReplayBuffer(1_000, 3, 2)
+    getattr(replay, restore)(broken_episodes(20).state_dict())
+    assert replay.mean_episode_length() == 6
+    assert replay.all().truncated.sum() == 40
+
+
 def test_a_step_after_the_end_of_a_task_repeats_that_end():
     replay = ReplayBuffer(20, 3, 2)
     values = dict(zip(Transition._fields, unended(0, 1), strict=True))
@@ -533,6 +667,15 @@ def test_later_steps_are_of_the_same_episode_to_its_end(capacity, num_envs):
     warm = ReplayBuffer(capacity, 3, 2, num_envs=num_envs)
     warm.take_over(replay.state_dict())
     check_later(warm)
+
+
+def test_many_rounds_before_the_first_sound_one_are_left_out():
+    replay = ReplayBuffer(9, 1, 1)
+    number = np.arange(5_000.0)
+    sound = number == 4_999
+    ends = np.zeros(5_000, dtype=bool)
+    replay.extend(number[:, None], 0 * number[:, None], number, number[:, None], ends, ends, sound)
+    assert replay.all().reward.tolist() == [4_999.0]
 
 
 def test_later_steps_end_where_there_was_no_sound_step():
@@ -585,6 +728,28 @@ def test_what_is_no_number_or_no_flag_is_rejected_and_not_stored(name, value, er
     with pytest.raises(error, match=message):
         replay.add(**GOOD | {name: value})
     assert numbers(replay.all()) == [0, 1]
+
+
+@pytest.mark.parametrize("name", Transition._fields)
+def test_numbers_hidden_by_a_mask_are_rejected_and_those_that_are_shown_are_taken(name):
+    replay = filled(2)
+    with pytest.raises(TypeError, match=f"`{name}` must be of real numbers, got .*masked"):
+        replay.add(**GOOD | {name: np.ma.masked_array(GOOD[name], mask=True)})
+    assert numbers(replay.all()) == [0, 1]
+    replay.add(**GOOD | {name: np.ma.masked_array(GOOD[name], mask=False)})
+    assert numbers(replay.all()) == [0, 1, 0]
+
+
+@pytest.mark.parametrize("name", Transition._fields)
+def test_several_of_which_one_is_hidden_by_a_mask_are_all_refused(name):
+    replay = filled(2)
+    values = dict(zip(Transition._fields, unended(2, 3), strict=True))
+    masked = np.ma.masked_array(values[name])
+    replay.extend(**values | {name: masked})
+    masked[1] = np.ma.masked
+    with pytest.raises(TypeError, match=f"(?s)`{name}` must be of real numbers, got .*masked"):
+        replay.extend(**values | {name: masked})
+    assert numbers(replay.all()) == [0, 1, 2, 3, 4]
 
 
 @pytest.mark.parametrize("one", [True, 1, 1.0, np.bool_(True), np.array([True]), [1]])
