@@ -136,9 +136,16 @@ def paired_areas(task):
     return [np.array([row["area"] for row in own[task, agent]]) for agent in agents]
 
 
+def interval_of_share(curious, plain, level=0.9):
+    """Ends of the interval of the ratio of both interquartile means, by seeds drawn in pairs."""
+    drawn = np.random.default_rng(0).integers(len(curious), size=(10_000, len(curious)))
+    ratio = interquartile_mean(curious[drawn]) / interquartile_mean(plain[drawn])
+    return np.quantile(ratio, [(1 - level) / 2, (1 + level) / 2])
+
+
 def test_what_is_said_of_dense_reward_is_what_was_measured():
     page = text_of("docs/results/README.md")
-    shares, firsts, ranges = [], [], []
+    shares, firsts, ranges, intervals = [], [], [], []
     for task in ("HalfCheetah-v5", "Hopper-v5"):
         curious, plain = paired_areas(task)
         share, first = (
@@ -147,6 +154,8 @@ def test_what_is_said_of_dense_reward_is_what_was_measured():
         )
         shares.append(f"{share} on {task} ({len(curious)} seeds)")
         firsts.append(first)
+        low, high = (f"{100 * end:.0f} %" for end in interval_of_share(curious, plain))
+        intervals.append(f"{low} to {high} on {task}")
         low, high = (f"{100 * end:.0f} %" for end in np.sort(curious / plain)[[0, -1]])
         ranges.append(f"{low} to {high}")
     said = " and ".join(shares)
@@ -155,6 +164,7 @@ def test_what_is_said_of_dense_reward_is_what_was_measured():
     assert (
         f"has {ranges[0]} of the plain agent's area on HalfCheetah-v5 and {ranges[1]} on Hopper-v5"
     ) in page
+    assert f"90 % interval of this share is {' and '.join(intervals)}" in page
     assert f"on the first three seeds it had {' and '.join(firsts)}" in page
 
 
