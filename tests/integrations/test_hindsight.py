@@ -1,5 +1,6 @@
 """Goals in hindsight on a task of our own: reach a point, reward -1 at every other step."""
 
+import pickle
 from pathlib import Path
 from typing import Any
 
@@ -190,9 +191,28 @@ def test_ends_that_are_clipped_are_refused_without_the_callback() -> None:
 
 
 def test_no_end_is_kept_that_nothing_asks_for() -> None:
-    buffer = filled()
-    buffer.sample(4)
-    assert not buffer._normalized_ends
+    agent = make_agent()
+    agent.learning_starts = 1_000
+    sizes = [len(pickle.dumps(agent.learn(steps).replay_buffer)) for steps in (30, 90)]
+    assert sizes[0] == pytest.approx(sizes[1], abs=100)
+
+
+def test_no_goal_is_taken_from_beyond_a_reset() -> None:
+    agent = make_agent(env=DummyVecEnv([Reach] * 2))
+    agent.learning_starts = 1_000
+    for num_steps in (8, 80):  # four steps of each environment, and forty after a reset
+        agent.learn(num_steps)
+    buffer = agent.replay_buffer
+    assert (buffer.ep_length[:4] == 4).all() and (buffer.ep_start[4] == 4).all()
+    assert not buffer.dones[:3].any() and buffer.dones[3].all() and buffer.timeouts[3].all()
+
+
+def test_an_episode_goes_on_where_nothing_was_reset() -> None:
+    agent = make_agent()
+    agent.learning_starts = 1_000
+    for _ in range(2):
+        agent.learn(4, reset_num_timesteps=False)
+    assert not agent.replay_buffer.dones.any()
 
 
 @pytest.mark.parametrize("kind", [SAC, TD3, DDPG])

@@ -16,7 +16,12 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import Logger
 from stable_baselines3.common.save_util import load_from_pkl, save_to_pkl
 from stable_baselines3.common.utils import set_random_seed
-from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+from stable_baselines3.common.vec_env import (
+    DummyVecEnv,
+    VecFrameStack,
+    VecMonitor,
+    VecNormalize,
+)
 from torch import Tensor, nn
 
 from deep_curiosity.bonuses.base import Bonus, Policy
@@ -387,6 +392,79 @@ def test_several_steps_refuse_another_discount_than_the_agents() -> None:
         agent.learn(1, callback=CuriosityCallback())
 
 
+@pytest.mark.parametrize("normalized", [False, True])
+def test_several_steps_end_where_the_environment_was_reset(normalized: bool) -> None:
+    env = clocks(0.0)
+    agent = filled(
+        env=VecNormalize(env) if normalized else env,
+        buffer=CuriousNStepReplayBuffer,
+        options={"bonus": Time(10.0), "n_steps": 3, "gamma": 0.5},
+        steps=2,
+    )
+    buffer = agent.learn(20).replay_buffer
+    samples = buffer._get_samples(np.array([0, 1]))
+    assert buffer.next_observations[1, 0, 0] == 2 and buffer.observations[2, 0, 0] == 0
+    assert samples.rewards[:, 0].tolist() == [(1 + 0) + 0.5 * (2 + 10), 2 + 10]
+    assert samples.next_observations[:, 0].tolist() == [2, 2]
+    assert samples.dones[:, 0].tolist() == [0, 0]
+    assert samples.discounts[:, 0].tolist() == [0.25, 0.5]
+
+
+def test_what_has_terminated_is_not_cut_off_by_a_reset() -> None:
+    options = {"bonus": Time(), "n_steps": 3, "gamma": 0.5}
+    agent = filled(buffer=CuriousNStepReplayBuffer, options=options, steps=TERMINATES_AFTER)
+    buffer = agent.learn(20).replay_buffer
+    end = TERMINATES_AFTER - 1
+    assert buffer.dones[end] and not buffer.timeouts[end]
+    assert buffer._get_samples(np.array([end])).dones == 1
+
+
+def test_several_steps_go_on_where_nothing_was_reset() -> None:
+    options = {"bonus": Time(10.0), "n_steps": 3, "gamma": 0.5}
+    agent = filled(buffer=CuriousNStepReplayBuffer, options=options, steps=2)
+    buffer = agent.learn(20, reset_num_timesteps=False).replay_buffer
+    samples = buffer._get_samples(np.array([0]))
+    assert samples.rewards.item() == (1 + 0) + 0.5 * (2 + 10) + 0.25 * (3 + 20)
+
+
+def test_several_steps_end_before_a_step_that_a_callback_dropped() -> None:
+    options = {"bonus": Time(10.0), "n_steps": 3, "gamma": 0.5}
+    agent = make_agent(gamma=0.5, buffer=CuriousNStepReplayBuffer, options=options)
+    agent.learn(6, callback=[StopAt(6), CuriosityCallback()])  # row 4 is from time 1 to 2
+    buffer = agent.learn(20, CuriosityCallback(), reset_num_timesteps=False).replay_buffer
+    assert buffer.observations[4:6, 0, 0].tolist() == [1, 3]
+    samples = buffer._get_samples(np.array([4]))
+    assert samples.rewards.item() == 2 + 10 and samples.next_observations[0, 0] == 2
+
+
+def test_a_discount_of_one_may_be_whole() -> None:
+    options = {"bonus": Time(10.0), "n_steps": 3, "gamma": 1}
+    agent = make_agent(gamma=1, buffer=CuriousNStepReplayBuffer, options=options)
+    buffer = agent.learn(20, CuriosityCallback()).replay_buffer
+    assert buffer._get_samples(np.array([0])).rewards.item() == 1 + (2 + 10) + (3 + 20)
+
+
+class Precise(Time):
+    """The same in float64."""
+
+    def forward(self, *arguments: Any) -> Tensor:
+        return super().forward(*arguments).double()
+
+
+@pytest.mark.parametrize("kind", ["replay", "several steps", "rollout"])
+def test_a_bonus_may_be_more_precise_than_rewards(kind: str) -> None:
+    options: dict[str, Any] = {"bonus": Precise(10.0)}
+    if kind == "rollout":
+        agent = make_rollout_agent(**options)
+    elif kind == "several steps":
+        options |= {"n_steps": 3, "gamma": 0.99}
+        agent = make_agent(buffer=CuriousNStepReplayBuffer, options=options)
+    else:
+        agent = make_agent(options=options)
+    agent.learn(20, CuriosityCallback())
+    assert all(torch.isfinite(parameter).all() for parameter in parameters(agent))
+
+
 # dictionaries
 
 
@@ -455,6 +533,33 @@ def test_a_saved_agent_holds_a_bonus_of_ones_own_as_it_was_trained(
     loaded = type(agent).load(tmp_path / "agent", env=Clock())
     buffer = getattr(loaded, "replay_buffer", None) or loaded.rollout_buffer
     assert bonus.factor != 1 and torch.equal(buffer.bonus.factor, bonus.factor)
+
+
+def test_an_agent_that_was_resumed_is_saved_with_the_bonus_of_its_loaded_buffer(
+    tmp_path: Path,
+) -> None:
+    agent = make_agent(options={"bonus": Time(learns=True)}).learn(20, CuriosityCallback())
+    agent.save(tmp_path / "agent"), agent.save_replay_buffer(tmp_path / "buffer")
+    resumed = SAC.load(tmp_path / "agent", env=Clock())
+    resumed.load_replay_buffer(tmp_path / "buffer")
+    options = resumed.replay_buffer_kwargs
+    resumed.learn(20, CuriosityCallback(), reset_num_timesteps=False).save(tmp_path / "resumed")
+    trained = resumed.replay_buffer.bonus.factor
+    assert SAC.load(tmp_path / "resumed").replay_buffer.bonus.factor == trained
+    assert options["bonus"].factor == agent.replay_buffer.bonus.factor != trained
+
+
+def test_a_rollout_agent_that_was_resumed_is_saved_with_the_bonus_of_its_loaded_buffer(
+    tmp_path: Path,
+) -> None:
+    agent = make_rollout_agent(bonus=Time(learns=True)).learn(20, CuriosityCallback())
+    agent.save(tmp_path / "agent"), save_to_pkl(tmp_path / "buffer", agent.rollout_buffer)
+    resumed = PPO.load(tmp_path / "agent", env=Clock())
+    resumed.rollout_buffer = load_from_pkl(tmp_path / "buffer")
+    resumed.learn(20, CuriosityCallback(), reset_num_timesteps=False).save(tmp_path / "resumed")
+    trained = resumed.rollout_buffer.bonus.factor
+    assert PPO.load(tmp_path / "resumed").rollout_buffer.bonus.factor == trained
+    assert agent.rollout_buffer.bonus.factor != trained
 
 
 def test_the_bonus_follows_the_device_of_the_buffer() -> None:
@@ -616,6 +721,12 @@ def test_the_bonus_goes_through_a_rollout_in_minibatches_and_observes_every_step
 def test_a_rollout_without_the_callback_says_what_is_missing() -> None:
     with pytest.raises(RuntimeError, match=r"20 steps has 0 on record.*CuriosityCallback\(\)"):
         make_rollout_agent().learn(20)
+
+
+def test_two_callbacks_on_a_rollout_are_one_too_many() -> None:
+    callbacks = [CuriosityCallback(), CuriosityCallback()]
+    with pytest.raises(RuntimeError, match=r"20 steps has 40 .*give one CuriosityCallback only"):
+        make_rollout_agent().learn(20, callback=callbacks)
 
 
 @pytest.mark.parametrize("name", ["curiosity", "rnd"])
@@ -800,16 +911,100 @@ def test_an_episode_without_its_last_observation_is_refused(
 # as the check handles it
 
 
+WRAPPED: dict[str, Callable[[DummyVecEnv], Any]] = {
+    "plain": lambda env: env,
+    "normalised": VecNormalize,
+    "stacked": lambda env: VecFrameStack(env, 2),
+    "normalised stack": lambda env: VecNormalize(VecFrameStack(env, 2)),
+    "monitored": lambda env: VecMonitor(VecNormalize(VecMonitor(VecFrameStack(env, 2)))),
+}
+
+
 @pytest.mark.parametrize("kind", [SAC, TD3])
-@pytest.mark.parametrize("normalized", [False, True])
-def test_what_is_stored_is_what_the_environments_gave(kind: type, normalized: bool) -> None:
-    env = clocks(0.0, 100.0)
-    agent = make_agent(kind, VecNormalize(env) if normalized else env)
+@pytest.mark.parametrize("wrap", WRAPPED.values(), ids=WRAPPED.keys())
+def test_what_is_stored_is_what_the_environments_gave(
+    kind: type, wrap: Callable[[DummyVecEnv], Any]
+) -> None:
+    agent = make_agent(kind, wrap(clocks(0.0, 100.0)))
     integration = StableBaselinesIntegration(agent, Clock)
     truth = integration.collect(40, seed=0)
     assert len(truth.reward) == 80
     for one, other in zip(truth, integration.stored(), strict=True):
         torch.testing.assert_close(one, other, atol=1e-5, rtol=1e-5)
+
+
+@pytest.mark.parametrize("wrap", WRAPPED.values(), ids=WRAPPED.keys())
+def test_what_is_on_record_is_what_the_environments_gave(
+    wrap: Callable[[DummyVecEnv], Any],
+) -> None:
+    agent = make_rollout_agent(wrap(clocks(0.0, 100.0)))
+    integration = StableBaselinesOnPolicyIntegration(agent, Clock)
+    truth = integration.collect(20, seed=0)
+    for one, other in zip(truth, integration.stored(), strict=True):
+        torch.testing.assert_close(one, other)
+
+
+def test_collecting_leaves_an_environment_keeping_its_raw_ends() -> None:
+    env = VecNormalize(clocks(0.0))
+    agent = make_agent(env=env).learn(4, CuriosityCallback())
+    keeping = env.venv.step_wait
+    StableBaselinesIntegration(agent, Clock).collect(20, seed=0)
+    assert env.venv.step_wait is keeping
+
+
+def test_what_the_check_collects_stays_in_replay_and_statistics_but_not_in_the_count() -> None:
+    env = VecNormalize(clocks(0.0))
+    agent = make_agent(env=env).learn(12, CuriosityCallback())
+    num_rows, num_observed = agent.replay_buffer.size(), env.obs_rms.count
+    checked = StableBaselinesIntegration(agent, Clock)
+    checked.collect(30, seed=0)
+    checked.release()
+    assert agent.replay_buffer.size() == num_rows + 30
+    assert env.obs_rms.count == pytest.approx(num_observed + 1 + 30)  # and the reset
+    assert agent.num_timesteps == 12
+
+
+def without_environment() -> Any:
+    agent = make_agent()
+    agent.env = None
+    return agent
+
+
+@pytest.mark.parametrize(
+    ("make", "error", "message"),
+    [
+        (
+            lambda: StableBaselinesIntegration(make_agent(buffer=None, options={}), Clock),
+            TypeError,
+            "`model` must have `replay_buffer_class=CuriousReplayBuffer`.*, got SAC with Replay",
+        ),
+        (
+            lambda: StableBaselinesIntegration(make_rollout_agent(), Clock),
+            TypeError,
+            "`model` must .*StableBaselinesOnPolicyIntegration.*, got PPO without `replay_buffer`",
+        ),
+        (
+            lambda: StableBaselinesOnPolicyIntegration(make_agent(), Clock),
+            TypeError,
+            "`model` must .*StableBaselinesIntegration.*, got SAC without `rollout_buffer`",
+        ),
+        (
+            lambda: StableBaselinesIntegration(make_agent(), Clock()),
+            TypeError,
+            "`make_env` must be a function .*, got <.*Clock object",
+        ),
+        (
+            lambda: StableBaselinesIntegration(without_environment(), Clock),
+            ValueError,
+            "`model` must have an environment.*, got None",
+        ),
+    ],
+)
+def test_what_cannot_be_checked_is_refused_at_the_door(
+    make: Callable[[], Any], error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        make()
 
 
 def test_a_full_buffer_is_read_oldest_first() -> None:

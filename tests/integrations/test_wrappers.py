@@ -1,5 +1,6 @@
 """Behind any order of vector wrappers a bonus learns raw single steps, or says what is wrong."""
 
+import pickle
 from collections.abc import Callable
 from typing import Any
 
@@ -221,6 +222,25 @@ def test_without_the_callback_a_clipped_end_is_refused_and_others_are_not() -> N
     shown = learned(SAC, VecNormalize(dummy(), clip_obs=1e4), [])
     ends = shown.next_observation[shown.terminated]
     assert len(ends) and ends[:, 0].tolist() == pytest.approx([FAR] * len(ends), rel=1e-3)
+
+
+def test_a_buffer_that_holds_a_clipped_end_is_refused_whatever_comes_after() -> None:
+    env = VecNormalize(dummy(), clip_obs=1.0)
+    agent: Any = SAC("MlpPolicy", env, learning_starts=20, replay_buffer_class=CuriousReplayBuffer)
+    agent.learn(20)
+    agent.replay_buffer.sample(4)  # as it is stored, which asks nothing
+    refused = pytest.raises(ValueError, match=r"`callback` must be .* 1\.0.*begin with a new one")
+    with refused:
+        agent.learn(5, reset_num_timesteps=False)
+    env.clip_obs = 1e4
+    for again in (
+        lambda: agent.learn(5, reset_num_timesteps=False),
+        lambda: agent.learn(5, callback=CuriosityCallback(), reset_num_timesteps=False),
+        lambda: agent.replay_buffer.sample(4),
+        lambda: pickle.loads(pickle.dumps(agent.replay_buffer)).sample(4, env),
+    ):
+        with refused:
+            again()
 
 
 def test_ends_are_kept_beside_an_evaluation_that_compares_wrappers() -> None:

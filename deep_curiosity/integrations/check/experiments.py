@@ -15,7 +15,7 @@ from torch import Tensor
 
 from deep_curiosity.integrations.base import Integration
 from deep_curiosity.integrations.check.findings import Finding, Report
-from deep_curiosity.transitions import Transition
+from deep_curiosity.transitions import Transition, check_counts
 
 PATTERN_STRENGTH = 10.0  # of the bonus put in the place of the real one; rewards have size one
 NUM_UPDATES = 20  # until the critic has moved the actor, which may be updated more seldom
@@ -32,24 +32,48 @@ def check_integration(agent: Integration, *, num_steps: int = 400, seed: int = 0
     come to differ.
 
     Args:
-        agent: With its bonus; it is left a little further in its training.
-        num_steps: Environment steps to collect; enough for an episode to be cut off by its clock.
+        agent: With its bonus, best made for the check, which changes it: its environment is reset
+            and acted in, what was collected stays in its replay and in all statistics of
+            observations, and agent and bonus are one update older.
+        num_steps: Environment steps to collect; enough for an episode to be cut off by its clock,
+            and no more than replay has room for.
         seed: Of all random numbers. The global streams go on as if nothing had been drawn.
 
     Returns:
         The lines `finite`, `not constant`, `raw`, `ends`, `targets`, `fresh`, `actor` and `state`.
+
+    Raises:
+        TypeError: If the agent is no `Integration`, or the number of steps no whole number.
+        ValueError: If there are no steps to collect, or more than replay has room for.
     """
+    if not isinstance(agent, Integration):
+        raise TypeError(
+            "`agent` must be an Integration, such as StableBaselinesIntegration(model, make_env), "
+            f"got {type(agent).__name__}."
+        )
+    check_counts(num_steps=num_steps)
     with _own_randomness(), TemporaryDirectory() as name, ExitStack() as stack:
         stack.callback(agent.release)
         folder = Path(name)
         given = agent.collect(num_steps, seed=seed)
         stored = agent.stored()
+        _check_room(given, stored, num_steps)
         copies = _Copies(agent, _saved(agent, folder / "before"), num_steps, seed)
         others = [_check_rewards(copies), _check_ends(given, stored), *_check_acts(copies)]
         values = _check_values(agent, stored, seed)
         spoiled = Finding("state", None, "the agent has learned from no numbers", "see above")
         state = _check_state(agent, folder / "after", seed) if values[0].passed else spoiled
     return Report((*values, *others, state))
+
+
+def _check_room(given: Transition, stored: Transition, num_steps: int) -> None:
+    """Reject more steps than replay still holds."""
+    room = num_steps * len(stored.reward) // len(given.reward)  # a step is one of each environment
+    if room < num_steps:
+        raise ValueError(
+            f"`num_steps` must be at most {room}, all that the agent's replay has room for, "
+            f"got {num_steps}."
+        )
 
 
 @contextmanager

@@ -101,8 +101,8 @@ class BonusAttachment:
         self.learner.learn(transition, policy)
 
     def compute(self, transition: Transition) -> Tensor:
-        """Bonus of each transition as the networks now stand."""
-        bonus = self.learner.compute(transition)
+        """Bonus of each transition as the networks now stand, in the precision of rewards."""
+        bonus = self.learner.compute(transition).float()
         self.newest = bonus.mean()
         return bonus
 

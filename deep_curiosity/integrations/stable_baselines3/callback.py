@@ -11,6 +11,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.type_aliases import PyTorchObs
 from torch import Tensor
 
+from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.integrations.stable_baselines3.normalization import (
     check_order,
     end_of,
@@ -56,6 +57,7 @@ class CuriosityCallback(BaseCallback):
         buffer = self._buffer
         check_order(self.training_env, buffer.attachment.observation_key)
         keep_raw_ends(self.training_env)
+        self._save_bonus_in_use(buffer.bonus)
         if isinstance(buffer, CuriousRolloutBuffer):
             self._observation = deepcopy(self._raw(self.model._last_obs))
         else:
@@ -96,6 +98,13 @@ class CuriosityCallback(BaseCallback):
             "`replay_buffer_class=CuriousReplayBuffer` or "
             "`rollout_buffer_class=CuriousRolloutBuffer`."
         )
+
+    def _save_bonus_in_use(self, bonus: Bonus) -> None:
+        """Put the bonus among the options that are saved; a loaded buffer has brought its own."""
+        for name in ("replay_buffer_kwargs", "rollout_buffer_kwargs"):
+            options = getattr(self.model, name, {})
+            if isinstance(options.get("bonus"), Bonus):
+                setattr(self.model, name, {**options, "bonus": bonus})
 
     def _check_discount(self, buffer: CuriousReplayBuffer) -> None:
         discount = self.model.gamma  # type: ignore[attr-defined]

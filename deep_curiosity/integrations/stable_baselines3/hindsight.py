@@ -51,6 +51,12 @@ class CuriousHerReplayBuffer(CuriousReplayBuffer, HerReplayBuffer):  # type: ign
         bonus = self.attachment.compute(transition)
         return samples._replace(rewards=samples.rewards + bonus.unsqueeze(-1))
 
+    def _cut_off(self, columns: np.ndarray) -> None:
+        """Let the newest step of some environments end its episode, from which goals are taken."""
+        super()._cut_off(columns)
+        for column in map(int, columns):
+            self._compute_episode_length(column)
+
     def _relabelled(self, samples: DictReplayBufferSamples) -> Transition:
         """What the bonus is given of a batch whose goals are relabelled."""
         select = self.attachment.select_observation

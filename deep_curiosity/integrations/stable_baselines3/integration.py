@@ -21,6 +21,7 @@ from deep_curiosity.bonuses.base import Bonus
 from deep_curiosity.integrations.base import Integration
 from deep_curiosity.integrations.stable_baselines3.attachment import BonusAttachment
 from deep_curiosity.integrations.stable_baselines3.callback import CuriosityCallback
+from deep_curiosity.integrations.stable_baselines3.normalization import raw_part
 from deep_curiosity.integrations.stable_baselines3.recording import postponed, recorded
 from deep_curiosity.integrations.stable_baselines3.replay import CuriousReplayBuffer
 from deep_curiosity.integrations.stable_baselines3.rollout import CuriousRolloutBuffer
@@ -38,9 +39,26 @@ class _Integration(Integration, Generic[Agent]):
     Args:
         model: An agent with a curious buffer.
         make_env: Makes an environment like that of the agent, for a loaded one.
+
+    Raises:
+        TypeError: If the agent has no such buffer, or nothing makes an environment.
+        ValueError: If the agent has no environment.
     """
 
+    buffer_name: str
+    """Attribute of the agent."""
+    buffer_class: type
+    elsewhere: str
+    """Which agents have another buffer, and where they are checked."""
+
     def __init__(self, model: Agent, make_env: Callable[[], Any]) -> None:
+        self._check_buffer(model)
+        if model.get_env() is None:
+            raise ValueError("`model` must have an environment, as set_env gives it, got None.")
+        if not callable(make_env):
+            raise TypeError(
+                f"`make_env` must be a function that makes an environment, got {make_env!r}."
+            )
         self.model = model
         self.make_env = make_env
         self._of_the_user: tuple[Any, ...] | None = None  # known while the check has changed it
@@ -55,7 +73,7 @@ class _Integration(Integration, Generic[Agent]):
         env = self.model.get_env()
         assert env is not None
         self._remember()
-        with self._quiet(), recorded(env.unwrapped, self._attachment) as steps:
+        with self._quiet(), recorded(raw_part(env), self._attachment) as steps:
             self.model.set_random_seed(seed)
             _, callback = self.model._setup_learn(num_steps, CuriosityCallback())
             callback.on_training_start({}, {})
@@ -74,6 +92,19 @@ class _Integration(Integration, Generic[Agent]):
         if self._of_the_user is None:
             random = self.model.action_space._np_random  # which seeding replaces
             self._of_the_user = self.model.num_timesteps, random, self._attachment.actor
+
+    @classmethod
+    def _check_buffer(cls, model: Agent) -> None:
+        """Reject an agent whose buffer has no bonus, or that is for the other class."""
+        buffer = getattr(model, cls.buffer_name, None)
+        if not isinstance(buffer, cls.buffer_class):
+            found = f"with {type(buffer).__name__}"
+            if buffer is None:
+                found = f"without `{cls.buffer_name}`"
+            raise TypeError(
+                f"`model` must have `{cls.buffer_name}_class={cls.buffer_class.__name__}` or one "
+                f"like it ({cls.elsewhere}), got {type(model).__name__} {found}."
+            )
 
     @contextmanager
     def _quiet(self) -> Iterator[None]:
@@ -110,9 +141,18 @@ class StableBaselinesIntegration(_Integration[OffPolicyAlgorithm]):
     """SAC, TD3, DDPG, TQC or CrossQ with a curious replay buffer.
 
     Args:
-        model: An agent with a curious buffer.
-        make_env: Makes an environment like that of the agent, for a loaded one.
+        model: An agent with a curious buffer, best made for the check, which changes it.
+        make_env: Makes an environment like that of the agent, for a loaded one; in the same
+            vector wrappers, if there are any.
+
+    Raises:
+        TypeError: If the agent has no such buffer, or nothing makes an environment.
+        ValueError: If the agent has no environment.
     """
+
+    buffer_name = "replay_buffer"
+    buffer_class = CuriousReplayBuffer
+    elsewhere = "PPO and A2C are for StableBaselinesOnPolicyIntegration"
 
     def stored(self) -> Transition:
         """All that is stored, oldest first, the environments of a step in their order."""
@@ -160,9 +200,17 @@ class StableBaselinesOnPolicyIntegration(_Integration[OnPolicyAlgorithm]):
     """PPO or A2C with a curious rollout buffer; a rollout is as long as what is collected.
 
     Args:
-        model: An agent with a curious buffer.
-        make_env: Makes an environment like that of the agent, for a loaded one.
+        model: As for `StableBaselinesIntegration`.
+        make_env: As for `StableBaselinesIntegration`.
+
+    Raises:
+        TypeError: If the agent has no such buffer, or nothing makes an environment.
+        ValueError: If the agent has no environment.
     """
+
+    buffer_name = "rollout_buffer"
+    buffer_class = CuriousRolloutBuffer
+    elsewhere = "agents with replay are for StableBaselinesIntegration"
 
     def __init__(self, model: OnPolicyAlgorithm, make_env: Callable[[], Any]) -> None:
         super().__init__(model, make_env)

@@ -57,15 +57,23 @@ def check_order(env: VecEnv, key: str | None) -> None:
         )
 
 
-def is_clipped(end: Any, normalize: VecNormalize, key: str | None) -> bool:
-    """Whether the end of an episode touches the bounds within which `VecNormalize` keeps it."""
-    if not normalize.norm_obs:
-        return False
-    if key is not None:
-        if normalize.norm_obs_keys is not None and key not in normalize.norm_obs_keys:
-            return False
-        end = end[key]
-    return bool(np.abs(end).max() >= np.float32(normalize.clip_obs))
+def is_clipped(largest: float, normalize: VecNormalize, key: str | None) -> bool:
+    """Whether the end of an episode touches the bounds within which `VecNormalize` keeps it.
+
+    Args:
+        largest: Its largest entry, whatever the sign.
+        normalize: What has normalised it.
+        key: Entry of a dictionary observation that it is about.
+    """
+    keys = normalize.norm_obs_keys
+    is_normalized = normalize.norm_obs and (key is None or keys is None or key in keys)
+    return is_normalized and bool(largest >= np.float32(normalize.clip_obs))
+
+
+def raw_part(env: VecEnv) -> VecEnv:
+    """The part of an environment that gives what is stored: all that is below `VecNormalize`."""
+    normalize = next(_normalizations(env), None)
+    return env if normalize is None else normalize.venv
 
 
 class _RawEnds:

@@ -15,7 +15,7 @@ from deep_curiosity.transitions import Transition
 
 @contextmanager
 def recorded(env: VecEnv, attachment: BonusAttachment) -> Iterator[list[Transition]]:
-    """Record each step of a vector environment where it is taken, below all wrappers."""
+    """Record each step of a vector environment, before what is above it can change it."""
     steps: list[Transition] = []
     latest: dict[str, Any] = {}
     reset, step_async, step_wait = env.reset, env.step_async, env.step_wait
@@ -36,12 +36,15 @@ def recorded(env: VecEnv, attachment: BonusAttachment) -> Iterator[list[Transiti
         return next_observation, reward, done, infos
 
     spies = {"reset": reset_and_note, "step_async": note_action, "step_wait": step_and_record}
-    vars(env).update(spies)
+    own = vars(env)
+    before = {name: own[name] for name in spies if name in own}
+    own.update(spies)
     try:
         yield steps
     finally:
         for name in spies:
-            delattr(env, name)
+            del own[name]
+        own.update(before)
 
 
 def _ground_truth(

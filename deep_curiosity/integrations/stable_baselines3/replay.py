@@ -51,6 +51,10 @@ class CuriousReplayBuffer(ReplayBuffer):
         ValueError: If the spaces hold no vectors, or an option is out of range or out of place.
     """
 
+    # of the class, so that buffers which were saved without them load
+    _largest_end = 0.0  # entry of those ends that are known only as `VecNormalize` leaves them
+    _clip_obs: float | None = None  # at which an end was found clipped
+
     def __init__(
         self,
         buffer_size: int,
@@ -91,7 +95,6 @@ class CuriousReplayBuffer(ReplayBuffer):
             update_interval=update_interval,
             observation_key=observation_key,
         )
-        self._normalized_ends: list[Any] = []
         super().__init__(
             buffer_size,
             observation_space,
@@ -117,6 +120,9 @@ class CuriousReplayBuffer(ReplayBuffer):
     ) -> None:
         """Store a step of all environments; the agent calls this.
 
+        Where an environment was reset since the newest step, that one now ends its episode, as if
+        a clock had cut it off.
+
         Raises:
             ValueError: If a wrapper above `VecNormalize` changes observations, or an episode ended
                 and its last observation is not in `infos`.
@@ -127,7 +133,10 @@ class CuriousReplayBuffer(ReplayBuffer):
             if RAW_END in infos[index]:
                 _write(next_obs, index, end)
             else:
-                self._normalized_ends.append(end)
+                largest = np.abs(self.attachment.select_observation(end)).max()
+                self._largest_end = max(self._largest_end, float(largest))
+        if self.size() > 0:
+            self._cut_off(self._interrupted(obs))
         super().add(obs, next_obs, action, reward, done, list(infos))
 
     def _check_shape(self, observation: Any) -> None:
@@ -143,16 +152,27 @@ class CuriousReplayBuffer(ReplayBuffer):
 
     def _check_ends(self, normalize: VecNormalize | None) -> None:
         """Reject ends of episodes that are known only as `VecNormalize` has clipped them."""
-        ends, self._normalized_ends = self._normalized_ends, []
-        if normalize is None:
-            return
-        for end in ends:
-            if is_clipped(end, normalize, self.attachment.observation_key):
-                raise ValueError(
-                    "`callback` must be CuriosityCallback() where VecNormalize clips the end of "
-                    "an episode, from which the bonus would learn, got an end beyond "
-                    f"`clip_obs` {normalize.clip_obs}."
-                )
+        if normalize is not None:
+            if is_clipped(self._largest_end, normalize, self.attachment.observation_key):
+                self._clip_obs = normalize.clip_obs
+            self._largest_end = 0.0
+        if self._clip_obs is not None:
+            raise ValueError(
+                "`callback` must be CuriosityCallback() where VecNormalize clips the end of "
+                "an episode, from which the bonus would learn, got an end beyond "
+                f"`clip_obs` {self._clip_obs}, which is now in this buffer: begin with a new one, "
+                "such as that of a new agent."
+            )
+
+    def _interrupted(self, observation: Any) -> np.ndarray:
+        """Environments that are not where the newest step led, though it ended no episode."""
+        newest = self.pos - 1
+        goes_on = _equal(_row(self.next_observations, newest), observation)
+        return np.flatnonzero(~goes_on & (self.dones[newest] == 0))
+
+    def _cut_off(self, columns: np.ndarray) -> None:
+        """Let the newest step of some environments end its episode, as by a clock."""
+        self.dones[self.pos - 1, columns] = self.timeouts[self.pos - 1, columns] = 1
 
     def transition(self, rows: np.ndarray, columns: np.ndarray) -> Transition:
         """Stored steps as the environment gave them, with actions in [-1, 1].
@@ -214,7 +234,8 @@ class CuriousNStepReplayBuffer(CuriousReplayBuffer, NStepReplayBuffer):  # type:
         bonus = torch.zeros(steps.shape, device=self.device)
         transition = self.transition(steps[summed], columns[summed])
         bonus[mask_of(summed, self.device)] = self.attachment.compute(transition)
-        return bonus @ self.gamma ** torch.arange(self.n_steps, device=self.device)
+        discounts = self.gamma ** np.arange(self.n_steps, dtype=np.float32)
+        return bonus @ batch_of(discounts, self.device)
 
     def _before_the_end(self, steps: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Which steps the return sums: none after the end of an episode or of what is stored."""
@@ -230,6 +251,22 @@ class CuriousDictReplayBuffer(CuriousReplayBuffer, DictReplayBuffer):  # type: i
         *args: As for `CuriousReplayBuffer`, of which `observation_key` must now be given.
         **options: As for `CuriousReplayBuffer`.
     """
+
+
+def _row(observations: Any, index: int) -> Any:
+    """One of all stored observations, of dictionaries of arrays too."""
+    if isinstance(observations, dict):
+        return {name: column[index] for name, column in observations.items()}
+    return observations[index]
+
+
+def _equal(stored: Any, observation: Any) -> np.ndarray:
+    """In which environments an observation is the one that is stored."""
+    if isinstance(stored, dict):
+        return np.all([_equal(stored[name], observation[name]) for name in stored], axis=0)
+    other = np.asarray(observation, stored.dtype).reshape(stored.shape)
+    same = (stored == other) | (stored != stored)  # what is no number equals nothing
+    return np.asarray(same.reshape(len(stored), -1).all(1))
 
 
 def _write(observations: Any, index: int, observation: Any) -> None:

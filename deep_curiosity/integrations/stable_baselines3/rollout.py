@@ -120,12 +120,16 @@ class CuriousRolloutBuffer(RolloutBuffer):
         """All steps of the rollout as the environments gave them, oldest first.
 
         Raises:
-            RuntimeError: If the callback has not recorded them.
+            RuntimeError: If the callback has not recorded them, or two have.
         """
         if len(self.steps) != self.buffer_size:
-            raise RuntimeError(
-                f"a rollout of {self.buffer_size} steps has {len(self.steps)} on record: "
+            remedy = (
                 "learn(..., callback=CuriosityCallback()) records them."
+                if len(self.steps) < self.buffer_size
+                else "give one CuriosityCallback only."
+            )
+            raise RuntimeError(
+                f"a rollout of {self.buffer_size} steps has {len(self.steps)} on record: {remedy}"
             )
         fields = zip(*self.steps, strict=True)
         return Transition(*(torch.cat(field).to(self.device) for field in fields))

@@ -1,11 +1,19 @@
 """Mistakes that libraries and users have made, each of which the check must name."""
 
+from functools import partial
+
 import gymnasium
 import numpy as np
 import pytest
 import torch
 from stable_baselines3 import PPO, SAC
 from stable_baselines3.common.buffers import ReplayBuffer, RolloutBuffer
+from stable_baselines3.common.vec_env import (
+    DummyVecEnv,
+    VecFrameStack,
+    VecMonitor,
+    VecNormalize,
+)
 
 import deep_curiosity_envs  # noqa: F401  # registers the task
 from deep_curiosity.bonuses.baselines import ConstantBonus
@@ -80,12 +88,12 @@ class AfterAdvantages(CuriousRolloutBuffer):
         self.rewards = self.rewards + self.attachment.compute(rollout).numpy().reshape(-1, 1)
 
 
-def sac(buffer=CuriousReplayBuffer, bonus="curiosity"):
+def sac(buffer=CuriousReplayBuffer, bonus="curiosity", make_env=make_env, buffer_size=1_000):
     options = {"bonus_kwargs": {"hidden_dims": (8,), "members": "round_robin"}}
     model = SAC(
         "MlpPolicy",
         make_env(),
-        buffer_size=1_000,
+        buffer_size=buffer_size,
         batch_size=64,
         policy_kwargs={"net_arch": [8]},
         replay_buffer_class=buffer,
@@ -95,7 +103,7 @@ def sac(buffer=CuriousReplayBuffer, bonus="curiosity"):
     return StableBaselinesIntegration(model, make_env)
 
 
-def ppo(buffer):
+def ppo(buffer, make_env=make_env):
     model = PPO(
         "MlpPolicy",
         make_env(),
@@ -137,3 +145,20 @@ def test_each_mistake_fails_by_its_own_line(mistake):
 def test_without_the_mistake_all_lines_hold(make):
     report = check_integration(make(), num_steps=NUM_STEPS)
     assert all(finding.passed for finding in report.findings), report
+
+
+def stacked():
+    return VecFrameStack(DummyVecEnv([make_env] * 2), 2)
+
+
+@pytest.mark.parametrize("make_env", [stacked, lambda: VecMonitor(VecNormalize(stacked()))])
+@pytest.mark.parametrize("make", [sac, partial(ppo, CuriousRolloutBuffer)], ids=["SAC", "PPO"])
+def test_what_wrappers_change_below_the_normalisation_is_the_environment(make, make_env):
+    report = check_integration(make(make_env=make_env), num_steps=NUM_STEPS)
+    assert all(finding.passed for finding in report.findings), report
+
+
+def test_more_steps_than_replay_has_room_for_are_refused():
+    agent = sac(make_env=lambda: DummyVecEnv([make_env] * 2), buffer_size=60)
+    with pytest.raises(ValueError, match=r"`num_steps` must be at most 30, .*replay.* got 80"):
+        check_integration(agent, num_steps=80)

@@ -7,6 +7,7 @@ import torch
 
 from deep_curiosity.integrations.check import check_integration
 from deep_curiosity.integrations.trainer import LearnerIntegration
+from deep_curiosity.transitions import Transition
 
 QUESTIONS = ["finite", "not constant", "raw", "ends", "targets", "fresh", "actor", "state"]
 
@@ -131,6 +132,28 @@ def test_the_global_streams_go_on_as_if_nothing_had_been_drawn(config, num_steps
     with pytest.raises(KeyError) if num_steps == 1 else nullcontext():
         check_integration(agent, num_steps=num_steps)
     assert drawn() == before
+
+
+class Small(LearnerIntegration):
+    """Has room for the newest thirty steps."""
+
+    def stored(self):
+        return Transition(*(field[-30:] for field in super().stored()))
+
+
+def test_more_steps_than_replay_has_room_for_are_refused(config):
+    with pytest.raises(ValueError, match=r"`num_steps` must be at most 30, .*replay.* got 50"):
+        check_integration(Small(config), num_steps=50)
+
+
+def test_at_least_one_step_must_be_asked_for(config):
+    with pytest.raises(ValueError, match="`num_steps` must be at least 1, got 0"):
+        check_integration(LearnerIntegration(config), num_steps=0)
+
+
+def test_an_agent_that_no_integration_holds_is_refused():
+    with pytest.raises(TypeError, match=r"`agent` must be an Integration, .*, got Linear"):
+        check_integration(torch.nn.Linear(1, 1))
 
 
 def test_a_run_without_a_bonus_cannot_be_checked(config):
