@@ -114,10 +114,10 @@ def make_env() -> EnvBase:
     return GymEnv("deep_curiosity/PendulumSwingup-v0", action_cost=0.1)
 
 
-def make_actor(high: float = 1.0) -> ProbabilisticActor:
+def make_actor(high: float = 1.0, read: str = "observation") -> ProbabilisticActor:
     network = nn.Sequential(nn.Linear(3, 2), NormalParamExtractor())
     return ProbabilisticActor(
-        TensorDictModule(network, in_keys=["observation"], out_keys=["loc", "scale"]),
+        TensorDictModule(network, in_keys=[read], out_keys=["loc", "scale"]),
         in_keys=["loc", "scale"],
         spec=Bounded(-high, high, (1,)),
         distribution_class=TanhNormal,
@@ -250,6 +250,78 @@ def test_a_policy_may_read_other_entries_of_the_batch_and_is_left_as_it_is():
     transform(batch)
     torch.testing.assert_close(bonus.fresh[0], goal.reshape(-1, 1), rtol=1e-4, atol=0)
     assert network[0].running_mean == 0 and network.training
+
+
+def reading_policy(read: Callable[[Tensor], Tensor], *parts: Tensor) -> TensorDictModule:
+    """A policy of the observation, with parameters of its own."""
+    policy = TensorDictModule(read, in_keys=["observation"], out_keys=["action"])
+    policy.parts = nn.ParameterList(parts)
+    return policy
+
+
+@pytest.mark.parametrize("learn", [CuriosityTransform, BonusLoss])
+@pytest.mark.parametrize("shape", [(BATCH,), (BATCH // 2, 2)])
+def test_a_policy_is_shown_the_batch_in_the_precision_of_the_batch(
+    learn: Callable, shape: tuple[int, ...]
+):
+    bonus = LevelBonus()
+    network = nn.Sequential(nn.Linear(3, 1), nn.Tanh()).double()
+    policy = TensorDictModule(network, in_keys=["observation"], out_keys=["action"])
+    batch = make_batch(*shape).double()
+    batch["mask"] = torch.rand(*shape) < 0.5
+    learn(BonusLearner(bonus) if learn is CuriosityTransform else bonus, policy=policy)(batch)
+    with torch.no_grad():
+        expected = network(batch["observation"][batch["mask"]])
+    torch.testing.assert_close(bonus.fresh[0], expected.float())
+
+
+@pytest.mark.parametrize(
+    ("given", "shown"), [(torch.float64, torch.bfloat16), (torch.int64, torch.int64)]
+)
+def test_a_policy_is_shown_the_batch_where_it_computes(given: torch.dtype, shown: torch.dtype):
+    seen = []
+
+    def read(observation: Tensor) -> Tensor:
+        seen.append((observation.device.type, observation.dtype))
+        return observation[:, :1]
+
+    policy = reading_policy(read, torch.empty(1, device="meta", dtype=torch.bfloat16))
+    batch = make_batch()
+    batch["observation"] = batch["observation"].to(given)
+    with pytest.raises(NotImplementedError, match="Cannot copy out of meta tensor"):
+        CuriosityTransform(BonusLearner(LevelBonus()), policy=policy)(batch)
+    assert seen == [("meta", shown)]
+
+
+@pytest.mark.parametrize("batch_size", [[4], [4, 5]])
+def test_a_policy_is_shown_each_step_of_a_sequence(batch_size: list[int]):
+    batch, bonus = make_batch(4, 5), LevelBonus()
+    batch.batch_size = batch_size
+    policy = reading_policy(lambda observation: observation[:, :1].clamp(-1, 1))
+    CuriosityTransform(BonusLearner(bonus), policy=policy)(batch)
+    expected = batch["observation"].reshape(-1, 3)[:, :1].clamp(-1, 1)
+    torch.testing.assert_close(bonus.fresh[0], expected)
+
+
+class LookingAheadBonus(LevelBonus):
+    """Asks the policy twice, the second time where an action has led."""
+
+    def observe(
+        self,
+        transition: Transition,
+        policy: Policy | None = None,
+        visited: Transition | None = None,
+    ) -> None:
+        super().observe(transition, policy)
+        self.fresh.append(policy(transition.next_observation))
+
+
+def test_a_bonus_may_ask_the_policy_at_other_observations():
+    batch, bonus = make_batch().double(), LookingAheadBonus()
+    policy = reading_policy(lambda observation: observation[:, :1].tanh(), torch.zeros(1).double())
+    CuriosityTransform(BonusLearner(bonus), policy=policy)(batch)
+    for part, fresh in zip((batch, batch["next"]), bonus.fresh, strict=True):
+        torch.testing.assert_close(fresh, part["observation"][:, :1].tanh().float())
 
 
 @pytest.mark.parametrize("name", ["curiosity", "disagreement", "rnd"])
@@ -868,6 +940,26 @@ def test_what_is_no_bonus_is_refused_at_once(make: Callable, bonus: object):
         return
     with pytest.raises(TypeError, match=r"`bonus` must be a Bonus.*, got ('cur|3|Linear\()"):
         make(bonus)
+
+
+@pytest.mark.parametrize("make", [CuriosityTransform, BonusLoss])
+@pytest.mark.parametrize("policy", [None, nn.Linear(3, 1), torch.tanh, TensorDictModule])
+def test_a_policy_that_does_not_name_what_it_reads_is_refused_at_once(
+    make: Callable, policy: object
+):
+    if policy is None:
+        assert make(LevelBonus(), policy=policy).policy is None
+        return
+    message = r"`policy` must be a TensorDictModule.*, got (Linear\(|<built-in|<class)"
+    with pytest.raises(TypeError, match=message):
+        make(LevelBonus(), policy=policy)
+
+
+def test_a_policy_that_writes_no_action_is_named():
+    policy = TensorDictModule(nn.Linear(3, 1), in_keys=["observation"], out_keys=["push"])
+    transform = CuriosityTransform(BonusLearner(LevelBonus()), policy=policy)
+    with pytest.raises(KeyError, match=r"`action` must be among .* got .*'push'"):
+        transform(make_batch())
 
 
 def test_an_empty_range_is_refused():

@@ -22,6 +22,7 @@ from torchrl.envs.transforms import (
     CatFrames,
     CatTensors,
     Compose,
+    DeviceCastTransform,
     DoubleToFloat,
     DTypeCastTransform,
     MultiStepTransform,
@@ -29,13 +30,27 @@ from torchrl.envs.transforms import (
     RewardClipping,
     RewardScaling,
 )
+from torchrl.modules import ValueOperator
+from torchrl.objectives import SoftUpdate
 
 import deep_curiosity_envs  # noqa: F401  # registers the tasks
 from deep_curiosity.bonuses import BonusLearner
-from deep_curiosity.integrations.torchrl import BonusLoss, CuriosityTransform
+from deep_curiosity.integrations.torchrl import (
+    BonusLoss,
+    CuriosityTransform,
+    CuriousActorCriticLoss,
+)
 from deep_curiosity.replay import ReplayBuffer
 from deep_curiosity.transitions import Transition
-from tests.integrations.test_torchrl import LevelBonus, StepBonus, make_env
+from tests.integrations.test_torchrl import (
+    LevelBonus,
+    PairValue,
+    StepBonus,
+    make_actor,
+    make_batch,
+    make_env,
+    make_loss,
+)
 
 with warnings.catch_warnings():  # at import they warn of classes of their own
     warnings.simplefilter("ignore", DeprecationWarning)
@@ -271,6 +286,177 @@ def test_what_changes_the_numbers_may_come_after_the_bonus() -> None:
     buffer.extend(steps(NUM_ENVS, NUM_STEPS))
     scaled = buffer.sample()["next", "reward"]
     torch.testing.assert_close(scaled.flatten(), 100 * bonus.observed[0].reward)
+
+
+class AskedBonus(LevelBonus):
+    """Remembers at which transitions it was computed."""
+
+    def __init__(self) -> None:
+        super().__init__(slope=1.0)
+        self.asked: list[tuple[Tensor, Tensor | None]] = []
+
+    def forward(
+        self, observation: Tensor, action: Tensor, next_observation: Tensor | None = None
+    ) -> Tensor:
+        outcome = None if next_observation is None else next_observation.clone()
+        self.asked.append((observation.clone(), outcome))
+        return super().forward(observation, action)
+
+
+BOTH = ["observation", ("next", "observation")]
+
+
+def shifted(batch: TensorDict) -> TensorDict:
+    """What says nothing of the entries that it rewrites, in their own memory."""
+    for part in (batch, batch["next"]):
+        part["observation"].sub_(10).div_(3)
+    return batch
+
+
+REWRITERS = [
+    lambda: ObservationNorm(10.0, 3.0, BOTH, standard_normal=True),
+    lambda: ObservationNorm(10.0, 3.0, ["observation"]),
+    lambda: ObservationNorm(10.0, 3.0, [("next", "observation")]),
+    lambda: Compose(Compose(ObservationNorm(10.0, 3.0, BOTH))),
+    lambda: shifted,
+]
+IDS = ["both", "now", "next", "within others", "a function"]
+
+
+@pytest.mark.parametrize("make", REWRITERS, ids=IDS)
+@pytest.mark.parametrize("curiosity_discount", [0.0, 0.97])
+@pytest.mark.parametrize("shape", [(20,), (20, 5)])
+def test_the_actor_critic_computes_the_bonus_where_it_was_learned(
+    make: Callable[[], Transform], curiosity_discount: float, shape: tuple[int, ...]
+) -> None:
+    bonus, buffer = AskedBonus(), make_buffer(storage=LazyTensorStorage(100))
+    buffer.append_transform(CuriosityTransform(BonusLearner(bonus)))
+    buffer.append_transform(make())
+    buffer.extend(make_batch(*shape))
+    batch = buffer.sample()
+    make_loss(CuriousActorCriticLoss, bonus, curiosity_discount=curiosity_discount)(batch)
+    learned, again = bonus.asked
+    assert torch.equal(again[0], learned[0])
+    if curiosity_discount == 0:
+        assert again[1] is None  # of an action that was not taken
+    else:
+        assert torch.equal(again[1], learned[1])
+
+
+def test_the_bonus_loss_is_shown_what_was_there_before_it_was_rewritten() -> None:
+    data, real = padded("mask")
+    bonus = LevelBonus()
+    batch = Compose(curious(), ObservationNorm(10.0, 3.0, BOTH))(data.clone())
+    BonusLoss(bonus)(batch)
+    (seen,) = bonus.observed
+    assert torch.equal(seen.observation, data["observation"][real])
+    assert torch.equal(seen.next_observation, seen.observation + 10)
+
+
+def test_nested_observations_are_set_aside_in_their_place() -> None:
+    data = steps(5)
+    for part in (data, data["next"]):
+        part["robot", "state"] = part.pop("observation")
+    key = ("robot", "state")
+    transform = CuriosityTransform(StepBonus(), observation_key=key)
+    batch = Compose(transform, ObservationNorm(0.0, 2.0, [key, ("next", *key)]))(data.clone())
+    for part, before in ((batch, data), (batch["next"], data["next"])):
+        assert torch.equal(part["robot", "state_for_bonus"], before[key])
+        assert torch.equal(part[key], 2 * before[key])
+
+
+@pytest.mark.parametrize(
+    "transform",
+    [
+        RewardScaling(0.0, 2.0, [("next", "reward")], [("next", "reward")]),
+        DTypeCastTransform(torch.float32, torch.float64, BOTH),
+        DoubleToFloat(),
+        DeviceCastTransform("cpu"),
+        ObservationNorm(0.0, 2.0, ["observation"], ["normed"]),
+        CuriosityTransform(LevelBonus()),
+    ],
+    ids=lambda transform: type(transform).__name__,
+)
+def test_nothing_is_set_aside_where_observations_stay_as_they_are(transform: Transform) -> None:
+    batch = Compose(curious(), transform)(steps(5))
+    assert not [key for key in batch.keys(True, True) if "for_bonus" in str(key)]
+
+
+@pytest.mark.parametrize("kind", [LazyStackStorage, ListStorage])
+def test_nothing_is_set_aside_in_storages_that_hand_out_what_they_hold(kind: type) -> None:
+    buffer = lazily_stored(kind)
+    before = [held.clone() for held in rows_of(buffer)]
+    buffer.append_transform(curious())
+    buffer.append_transform(ObservationNorm(10.0, 3.0, BOTH))
+    sample = buffer.sample()
+    assert torch.equal(sample["observation"], 3 * sample["observation_for_bonus"] + 10)
+    for now, held in zip(rows_of(buffer), before, strict=True):
+        assert set(now.keys(True)) == set(held.keys(True)) and (now == held).all()
+
+
+def actor_of(key: str) -> TensorDictModule:
+    return TensorDictModule(torch.tanh, in_keys=[key], out_keys=["action"])
+
+
+def asked_before(transform: Transform, policy: TensorDictModule) -> list[Tensor]:
+    """Fresh actions that a bonus is given before the batch passes another transform."""
+    bonus = LevelBonus()
+    Compose(CuriosityTransform(BonusLearner(bonus), policy=policy), transform)(steps(5))
+    return bonus.fresh
+
+
+@pytest.mark.parametrize(
+    ("transform", "read", "written"),
+    [
+        (NORM(), "observation", "observation"),
+        (ObservationNorm(0.0, 2.0, KEY, ["normed"]), "normed", "normed"),
+        (ObservationNorm(0.0, 2.0, ["action"]), "observation", "action"),
+    ],
+    ids=["in place", "elsewhere", "action"],
+)
+def test_what_a_policy_reads_or_writes_may_not_be_rewritten_behind(
+    transform: Transform, read: str, written: str
+) -> None:
+    message = rf"`policy` must read .* got ObservationNorm of \['{written}'\] behind the Curiosity"
+    with pytest.raises(ValueError, match=message):
+        asked_before(Compose(transform), actor_of(read))
+
+
+@pytest.mark.parametrize(
+    "transform",
+    [
+        RewardScaling(0.0, 2.0, [("next", "reward")]),
+        ObservationNorm(0.0, 2.0, [("next", "observation")]),
+        DoubleToFloat(KEY),
+    ],
+    ids=lambda transform: type(transform).__name__,
+)
+def test_what_a_policy_does_not_read_may_be_rewritten_behind(transform: Transform) -> None:
+    (fresh,) = asked_before(transform, actor_of("observation"))
+    assert torch.equal(fresh, steps(5)["observation"].tanh())
+
+
+def test_a_policy_that_nobody_asks_is_left_alone() -> None:
+    Compose(CuriosityTransform(LevelBonus(), policy=actor_of("observation")), NORM())(steps(5))
+
+
+def test_an_agent_may_read_an_entry_that_is_written_before_the_bonus() -> None:
+    actor, critic = make_actor(read="normed"), ValueOperator(PairValue(), ["normed", "action"])
+    bonus, seen = AskedBonus(), []
+    actor.register_forward_pre_hook(lambda _, given: seen.append(given[0]["normed"]))
+    buffer = make_buffer(storage=LazyTensorStorage(100))
+    own = ["normed", ("next", "normed")]
+    buffer.append_transform(ObservationNorm(10.0, 3.0, BOTH, own, standard_normal=True))
+    buffer.append_transform(CuriosityTransform(BonusLearner(bonus), policy=actor))
+    buffer.extend(make_batch(20))
+    batch = buffer.sample()
+    assert torch.equal(seen[0], batch["normed"])
+    loss = CuriousActorCriticLoss(actor, critic, bonus)
+    SoftUpdate(loss, tau=0.1)
+    loss(batch)
+    for observation, next_observation in bonus.asked:
+        assert torch.equal(observation, batch["observation"])
+        assert torch.equal(next_observation, batch["next", "observation"])
 
 
 def test_what_keeps_the_numbers_may_come_before_the_bonus() -> None:

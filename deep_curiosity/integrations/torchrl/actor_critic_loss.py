@@ -50,7 +50,8 @@ class CuriousActorCriticLoss(SACLoss):
     gradient of each reaches its own parameters only.
 
     The bonus is not part of this module: a `CuriosityTransform` on the replay buffer, or a
-    `BonusLoss`, lets it learn. Until it has observed a batch, it counts as zero.
+    `BonusLoss`, lets it learn. Until it has observed a batch, it counts as zero. Where the
+    transform has set observations aside, it is given these, and not what was made of them.
 
     Args:
         actor_network: As `SACLoss` takes it, over actions in a bounded range.

@@ -35,7 +35,7 @@ class BonusLoss(LossModule):
         high: Highest action.
 
     Raises:
-        TypeError: If `bonus` is no `Bonus`.
+        TypeError: If `bonus` is no `Bonus`, or `policy` no module that names what it reads.
         ValueError: If the actions have no finite range. That a composite spec has no entry for
             them is said where their key is set, or at the first batch.
     """
@@ -77,7 +77,9 @@ class BonusLoss(LossModule):
         if not len(transition.reward):
             raise ValueError("`mask` must leave a step to learn from, got padding alone.")
         if self.observe:
-            policy = None if self.policy is None else self.policy.at(tensordict)
+            policy = None
+            if self.policy is not None:
+                policy = self.policy.at(tensordict, transition.observation)
             self.bonus.observe(transition, policy)
         with torch.enable_grad():
             return TensorDict({"loss_bonus": self.bonus.loss(transition)})

@@ -7,9 +7,9 @@ from typing import Any
 
 import torch
 from jaxtyping import Bool, Float
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-from torch import Tensor
+from torch import Tensor, nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from deep_curiosity.bonuses.base import Bonus, Policy
@@ -32,12 +32,18 @@ class TransitionKeys:
     @property
     def reward_holds_bonus(self) -> Key:
         """Where, beside the reward, is written that a bonus has been added to it."""
-        *path, name = [self.reward] if isinstance(self.reward, str) else self.reward
-        return (*path, f"{name}_holds_bonus")
+        return _beside(self.reward, "holds_bonus")
+
+    @property
+    def observation_for_bonus(self) -> Key:
+        """Where, beside it, an observation is set aside that others are about to rewrite."""
+        return _beside(self.observation, "for_bonus")
 
 
 class TransitionReader:
     """Reads transitions for a bonus, whatever the batch shape, dtype and device of the data.
+
+    Observations that were set aside are read in place of those rewritten since.
 
     Args:
         bonus: Whose dtype and device are taken.
@@ -78,7 +84,7 @@ class TransitionReader:
             observation=observation,
             action=action,
             reward=self._scalars(next_tensordict, self.keys.reward, batch).to(like),
-            next_observation=_vectors(_entry(next_tensordict, self.keys.observation)).to(like),
+            next_observation=_vectors(self._observation(next_tensordict)).to(like),
             terminated=self._flags(next_tensordict, self.keys.terminated, batch).to(like.device),
             truncated=self._flags_or_none(next_tensordict, batch).to(like.device),
         )
@@ -94,9 +100,14 @@ class TransitionReader:
     def read_pair(self, tensordict: TensorDictBase) -> tuple[Tensor, Tensor]:
         """Observation and action alone, differentiable."""
         like = reference_tensor(self.bonus)
-        observation = _vectors(_entry(tensordict, self.keys.observation)).to(like)
+        observation = _vectors(self._observation(tensordict)).to(like)
         action = _vectors(_entry(tensordict, self.keys.action)).to(like)
         return observation, self.box.to_unit(action)
+
+    def set_observations_aside(self, tensordict: TensorDictBase) -> None:
+        """Keep a copy of both observations, to be read when others have been written there."""
+        for part in (tensordict, _entry(tensordict, "next")):
+            part.set(self.keys.observation_for_bonus, self._observation(part).clone())
 
     def check_unpaid(self, tensordict: TensorDictBase) -> None:
         """Reject a batch whose reward holds a bonus, beside which another would count twice.
@@ -143,6 +154,10 @@ class TransitionReader:
         is_real = reward_dtype.is_floating_point
         return reward_dtype if is_real else reference_tensor(self.bonus).dtype
 
+    def _observation(self, tensordict: TensorDictBase) -> Tensor:
+        aside: Tensor | None = tensordict.get(self.keys.observation_for_bonus, None)
+        return _entry(tensordict, self.keys.observation) if aside is None else aside
+
     def _flags(self, next_tensordict: TensorDictBase, key: Key, batch: int) -> Tensor:
         return self._scalars(next_tensordict, key, batch).bool()
 
@@ -169,47 +184,74 @@ class FreshActions:
     Args:
         policy: Reads the observation, and what else a sampled batch has, and writes the action.
         reader: Knows the keys and the range of the actions.
+
+    Raises:
+        TypeError: If the policy is no module that names the entries it reads.
     """
 
     def __init__(self, policy: TensorDictModuleBase, reader: TransitionReader) -> None:
-        self.policy = policy
+        if not (isinstance(policy, nn.Module) and hasattr(policy, "in_keys")):
+            raise TypeError(
+                "`policy` must be a TensorDictModule, which names the entries that it reads, "
+                f"got {policy!r}."
+            )
+        self.policy: TensorDictModuleBase = policy
         self.reader = reader
 
-    def at(self, sampled: TensorDictBase) -> Policy:
-        """The policy at the observations of a batch, of which it may read other entries too."""
-        beside = sampled.select(*self.policy.in_keys, strict=False)
-        return partial(self, beside=beside, rows=self.reader.real_rows(sampled))
+    def at(
+        self, sampled: TensorDictBase, observation: Float[Tensor, "batch observation_dim"]
+    ) -> Policy:
+        """The policy at the observations of a batch, of which it may read other entries too.
+
+        Args:
+            sampled: The batch, as the policy reads it.
+            observation: What the bonus is given of it: the same steps, in another form.
+        """
+        return partial(self, sampled=sampled, given=observation)
 
     @torch.no_grad()
     def __call__(
         self,
         observation: Float[Tensor, "batch observation_dim"],
-        beside: TensorDictBase | None = None,
-        rows: Bool[Tensor, " rows"] | None = None,
+        *,
+        sampled: TensorDictBase,
+        given: Float[Tensor, "batch observation_dim"],
     ) -> Float[Tensor, "batch action_dim"]:
         """Sample an action at each observation.
 
         Args:
             observation: Where.
-            beside: Other entries that the policy reads, as many as there are observations.
-            rows: Which of these belong to the observations; all of them when `None`.
+            sampled: Holds what the policy reads, for each observation.
+            given: The observations of this batch, in whose place the policy reads its own.
         """
-        keys = self.reader.keys
-        tensordict = TensorDict({}, batch_size=observation.shape[:1], device=observation.device)
-        if beside is not None:
-            beside = beside.reshape(-1)
-            beside = beside if rows is None else beside[rows]
-            tensordict.update(beside.to(observation.device))
-        tensordict.set(keys.observation, observation)
+        keys, like = self.reader.keys, reference_tensor(self.policy, self.reader.bonus)
+        tensordict = self._entries(sampled).to(like.device)
+        own = tensordict.get(keys.observation, None) if observation is given else None
+        own = observation if own is None else own
+        dtype = like.dtype if own.is_floating_point() else own.dtype
+        tensordict.set(keys.observation, own.to(like.device, dtype))
         with set_exploration_type(ExplorationType.RANDOM), evaluating(self.policy):
-            action = self.policy(tensordict).get(keys.action)
+            action = _entry(self.policy(tensordict), keys.action)
         return self.reader.box.to_unit(action.to(observation))
 
+    def _entries(self, sampled: TensorDictBase) -> TensorDictBase:
+        """A copy of what the policy reads, all leading dimensions in one, without padding."""
+        entries = sampled.select(*self.policy.in_keys, strict=False).to_tensordict()
+        entries.batch_size = _entry(sampled, self.reader.keys.observation).shape[:-1]
+        rows = self.reader.real_rows(sampled)
+        return entries.reshape(-1) if rows is None else entries.reshape(-1)[rows]
 
-def reference_tensor(bonus: Bonus) -> Tensor:
-    """A tensor of the dtype and on the device in which the bonus computes."""
-    tensors = chain(bonus.parameters(), bonus.buffers())
+
+def reference_tensor(*modules: nn.Module) -> Tensor:
+    """A tensor of the dtype and on the device in which the first that has any computes."""
+    tensors = chain.from_iterable(chain(each.parameters(), each.buffers()) for each in modules)
     return next((value for value in tensors if value.is_floating_point()), torch.zeros(()))
+
+
+def _beside(key: Key, name: str) -> Key:
+    """A key that tells something of another, in the same place."""
+    *path, last = [key] if isinstance(key, str) else key
+    return (*path, f"{last}_{name}")
 
 
 def _entry(tensordict: TensorDictBase, key: Key) -> Any:

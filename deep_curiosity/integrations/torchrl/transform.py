@@ -10,9 +10,14 @@ from tensordict.utils import unravel_key
 from torch import Tensor
 from torchrl.data import Composite, TensorSpec, Unbounded
 from torchrl.envs import Transform
-from torchrl.envs.transforms import CatFrames, Compose, DTypeCastTransform
+from torchrl.envs.transforms import (
+    CatFrames,
+    Compose,
+    DeviceCastTransform,
+    DTypeCastTransform,
+)
 
-from deep_curiosity.bonuses.base import Bonus
+from deep_curiosity.bonuses.base import Bonus, Policy
 from deep_curiosity.bonuses.learner import BonusLearner
 from deep_curiosity.integrations.torchrl.action_box import ActionBox, Key
 from deep_curiosity.integrations.torchrl.tensordicts import (
@@ -20,11 +25,14 @@ from deep_curiosity.integrations.torchrl.tensordicts import (
     TransitionKeys,
     TransitionReader,
 )
+from deep_curiosity.transitions import Transition
 
 ONE_AT_A_TIME = RLock()
 """Held while a bonus learns and is computed: a buffer that prefetches samples in threads."""
-KEEPS_UNITS = (CatFrames, DTypeCastTransform)
-"""Transforms that write an entry in its own place and leave its numbers what they are."""
+KEEPS_NUMBERS = (DTypeCastTransform, DeviceCastTransform)
+"""Transforms that write an entry in its own place and leave it as it is, but for its form."""
+KEEPS_UNITS = (CatFrames, *KEEPS_NUMBERS)
+"""Those that may say the same more than once."""
 
 
 class CuriosityTransform(Transform):
@@ -35,6 +43,9 @@ class CuriosityTransform(Transform):
     buffer by index passes through its transforms as well; `buffer.storage[...]` does not. Padding,
     as torchrl marks it under `"mask"` or `("collector", "mask")`, is not learned and has no bonus.
 
+    Where a transform behind it rewrites observations in place, it sets them aside under
+    `"observation_for_bonus"`, here and under `"next"`. The losses give these to their bonus.
+
     In an environment the bonus of each step is written as one more reward and nothing is learned
     or added. Until the bonus has observed a batch, it counts as zero. There, what changes
     observations must come before it; in a buffer, after it.
@@ -44,7 +55,8 @@ class CuriosityTransform(Transform):
             is only computed.
         add_to_reward: Also add the bonus to the reward of each sampled batch. That this was done
             is written beside it, as `reward_holds_bonus`, so that none is added again.
-        policy: Samples fresh actions for `Bonus.observe`; `None` takes the sampled ones.
+        policy: Samples fresh actions for `Bonus.observe`; `None` takes the sampled ones. It reads
+            the batch as it stands here, so nothing behind may rewrite what it reads.
         action_spec: Range of the actions, as `env.action_spec`; `low` and `high` when `None`.
         low: Lowest action. The bonus is given actions brought to [-1, 1].
         high: Highest action.
@@ -56,7 +68,8 @@ class CuriosityTransform(Transform):
         out_key: Where the bonus is written.
 
     Raises:
-        TypeError: If `bonus` is neither a `Bonus` nor a `BonusLearner`.
+        TypeError: If `bonus` is neither a `Bonus` nor a `BonusLearner`, or `policy` no module that
+            names what it reads.
         ValueError: If the actions have no finite range.
     """
 
@@ -99,10 +112,12 @@ class CuriosityTransform(Transform):
         What is given is left as it is: some storages hand out what they hold, and no copy.
 
         Raises:
-            ValueError: If a transform before this one changes what it reads, the reward holds a
-                bonus already, or the outcomes are those of several steps.
+            ValueError: If a transform before this one changes what it reads, one behind it what
+                the policy reads, the reward holds a bonus already, or the outcomes are those of
+                several steps.
         """
         self._check_order()
+        self._check_policy()
         self.reader.check_unpaid(tensordict)
         transition, rows = self.reader.read(tensordict), self.reader.real_rows(tensordict)
         tensordict = tensordict.clone(False)
@@ -110,10 +125,11 @@ class CuriosityTransform(Transform):
         reward = next_tensordict.get(self.reader.keys.reward)
         with ONE_AT_A_TIME:
             if isinstance(self.source, BonusLearner) and len(transition.reward):
-                policy = None if self.policy is None else self.policy.at(tensordict)
-                self.source.learn(transition, policy)
+                self.source.learn(transition, self._policy_at(tensordict, transition))
             bonus = self.reader.compute(transition, reward, rows)
         next_tensordict.set(self.out_keys[0], bonus)
+        if self._may_be_rewritten():
+            self.reader.set_observations_aside(tensordict)
         if self.add_to_reward:
             next_tensordict.set(self.reader.keys.reward, reward + bonus)
             paid = torch.ones_like(reward, dtype=torch.bool)
@@ -134,6 +150,40 @@ class CuriosityTransform(Transform):
                     "append the CuriosityTransform first."
                 )
 
+    def _check_policy(self) -> None:
+        """Reject a policy that is asked here, and whose entries are rewritten only behind."""
+        if self.policy is None or not isinstance(self.source, BonusLearner):
+            return
+        entries = [*self.policy.policy.in_keys, self.reader.keys.action]
+        for transform, written in self._written_behind(entries):
+            raise ValueError(
+                "`policy` must read and write what stays as it is, got "
+                f"{type(transform).__name__} of {written} behind the CuriosityTransform: let it "
+                "write an entry of its own, by `out_keys`, for the policy to read, and append it "
+                "first; or leave `policy` out."
+            )
+
+    def _policy_at(self, sampled: TensorDictBase, transition: Transition) -> Policy | None:
+        return None if self.policy is None else self.policy.at(sampled, transition.observation)
+
+    def _may_be_rewritten(self) -> bool:
+        """Whether a transform behind writes an observation, or does not say what it writes."""
+        key = self.reader.keys.observation
+        if any(self._written_behind([key, unravel_key(("next", key))])):
+            return True
+        _, after = self._neighbours()
+        return any(not isinstance(each, KEEPS_NUMBERS) and not each.out_keys for each in after)
+
+    def _written_behind(self, entries: Iterable[Key]) -> Iterator[tuple[Transform, list[str]]]:
+        """Transforms behind this one that write some of the entries, and which, to be named."""
+        own = {unravel_key(key) for key in entries}
+        _, after = self._neighbours()
+        for transform in after:
+            if not isinstance(transform, KEEPS_NUMBERS):
+                written = own & {unravel_key(key) for key in transform.out_keys or []}
+                if written:
+                    yield transform, sorted(map(str, written))
+
     def _read_keys(self) -> list[Key]:
         keys = vars(self.reader.keys)
         outcome = [unravel_key(("next", key)) for name, key in keys.items() if name != "action"]
@@ -145,15 +195,12 @@ class CuriosityTransform(Transform):
         A step begins at what they wrote, and its outcome comes to the bonus without them.
         """
         key = unravel_key(self.reader.keys.observation)
-        _, after = self._neighbours()
-        for transform in after:
-            written = {unravel_key(each) for each in transform.out_keys or []}
-            if key in written and not isinstance(transform, DTypeCastTransform):
-                raise ValueError(
-                    "`transform` must come after all that change what it reads, got "
-                    f"{type(transform).__name__} of {key!r} behind it: in an environment append "
-                    "the CuriosityTransform last."
-                )
+        for transform, _ in self._written_behind([key]):
+            raise ValueError(
+                "`transform` must come after all that change what it reads, got "
+                f"{type(transform).__name__} of {key!r} behind it: in an environment append "
+                "the CuriosityTransform last."
+            )
 
     def _neighbours(self) -> tuple[list[Transform], list[Transform]]:
         """Transforms that data pass before this one and after it, whatever they are within."""
