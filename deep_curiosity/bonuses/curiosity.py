@@ -230,7 +230,8 @@ class CuriosityBonus(Bonus):
 
         Raises:
             TypeError: If a field has the wrong kind.
-            ValueError: If a field has the wrong shape or holds NaN or infinity.
+            ValueError: If a field has the wrong shape or holds NaN or infinity, or a feature is
+                none to compute with.
         """
         self._check_transition(transition)
         return self.dynamics.loss(transition)

@@ -13,7 +13,13 @@ from torch.nn.functional import softplus
 from deep_curiosity.gaussians import DiagonalMixture
 from deep_curiosity.nn.networks import StackedMLP, assign_rows, log_softmax_of_rest, restore_order
 from deep_curiosity.nn.statistics import HASH_FACTOR, HASH_OFFSET, WHITENINGS, scrambled
-from deep_curiosity.transitions import Transition, check_counts, check_moderate, check_positive
+from deep_curiosity.transitions import (
+    Transition,
+    check_counts,
+    check_moderate,
+    check_positive,
+    has_values,
+)
 
 Whitening = Literal["moments", "robust", "saturating"]
 Members = Literal["round_robin", "all"]
@@ -199,10 +205,14 @@ class DynamicsEnsemble(nn.Module):
     ) -> tuple[Float[Tensor, "members batch features"], Float[Tensor, "members batch features"]]:
         """Mean and variance of the change under each member, in units of the features.
 
-        By quadrature, since units may saturate. What `noise_floor` adds is not in them.
+        By quadrature, since units may saturate, in float64. What `noise_floor` adds is not in
+        them.
         """
         prediction = self._whitened_change(observation, action)
-        node, weight = map(torch.from_numpy, np.polynomial.hermite_e.hermegauss(NUM_NODES))
+        node, weight = (
+            torch.from_numpy(each).to(prediction.loc.device)
+            for each in np.polynomial.hermite_e.hermegauss(NUM_NODES)
+        )
         weight = weight / weight.sum()
         points = prediction.component_samples(  # nodes members batch components features
             node[:, None, None, None, None].expand(NUM_NODES, *prediction.loc.shape)
@@ -262,8 +272,7 @@ class DynamicsEnsemble(nn.Module):
         Raises:
             ValueError: If a feature is NaN, infinite or beyond 1e14.
         """
-        if self.features is not None:
-            check_moderate(features=self._featured(observation))
+        self._featured(observation)
 
     def metrics(self) -> dict[str, Tensor]:
         """Held-out negative log-likelihood in nats, and coverage of the 90 % interval."""
@@ -275,10 +284,17 @@ class DynamicsEnsemble(nn.Module):
     def _featured(
         self, observation: Float[Tensor, "*batch observation_dim"]
     ) -> Float[Tensor, "*batch features"]:
-        """What of observations is predicted."""
+        """What of observations is predicted; looked at, as a function may make NaN of anything.
+
+        Raises:
+            ValueError: If a feature is NaN, infinite or beyond 1e14.
+        """
         if self.features is None:
             return observation
-        return self.features(observation.flatten(0, -2)).unflatten(0, observation.shape[:-1])
+        features = self.features(observation.flatten(0, -2))
+        if has_values():
+            check_moderate(features=features)
+        return features.unflatten(0, observation.shape[:-1])
 
     @torch.no_grad()
     def _separate_components(self, dim: int) -> None:

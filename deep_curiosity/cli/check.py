@@ -33,7 +33,7 @@ class Args(Group):
     """Observations shown to the agent together, with the actions between them."""
     bonus: str = "curiosity"
     """Name of the bonus, as for training."""
-    num_steps: int = setting(2_000)
+    num_steps: int = setting(2_000, at_least=2)
     """Random steps from which the profile is made; as many are collected for the check."""
     num_updates: int = setting(200)
     """Updates of the agent before its bonus is looked at."""
@@ -53,11 +53,11 @@ def main(arguments: Sequence[str]) -> int:
         hidden_dim=64,
         seed=args.seed,
     )
+    agent = LearnerIntegration(config)  # first of all: it may refuse what is set
     environment = make_environment(config.environment)
     found = profile(environment, num_steps=args.num_steps, seed=args.seed)
     print(describe(found, task_actions(environment)))
     environment.close()
-    agent = LearnerIntegration(config)
     report = check_integration(agent, num_steps=args.num_steps, seed=args.seed)
     print(report)
     for _ in range(args.num_updates):

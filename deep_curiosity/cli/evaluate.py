@@ -72,7 +72,7 @@ def main(arguments: Sequence[str]) -> int:
         print(f"{config.environment.env_id}{at}: {describe_returns(episodes)}")
     if screen is not None and args.video is not None:
         frames = record_episode(act, screen, seed=args.seed, usual_observation=usual)
-        fps = screen.metadata.get("render_fps", 30) / config.environment.action_repeat
+        fps = (screen.metadata.get("render_fps") or 30) / config.environment.action_repeat
         write_video(args.video, frames, fps=fps)
         print(f"video of {len(frames)} frames in {args.video}")
     return 0

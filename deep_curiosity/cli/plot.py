@@ -35,8 +35,8 @@ class Args(Group):
     """Folders of runs, or folders below which runs lie."""
     out: Path = Path("runs/curves")
     """Path of the picture (.png) and the page (.html), without suffix. The page works without a
-    network: hover for numbers, choose agents and quantities. Files there that are none of a plot
-    are left alone."""
+    network: hover for numbers, choose agents and quantities. Files there are left alone, unless
+    the page among them is a plot's: then both are written anew."""
     tags: tuple[str, ...] = ()
     """Quantities of progress.csv, such as eval/return; by default returns, success, coverage and
     nats, as far as the runs have them. The picture shows the first alone where none is named."""

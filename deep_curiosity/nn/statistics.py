@@ -40,6 +40,7 @@ INPUT_SIZES = 0.1, 10.0  # root mean squares that a network is shown as they are
 ABSURD = 1e4  # sizes of a feature, at which it is cut where it keeps its unit
 INPUT_FLOOR = 1e-16  # mean square of what is noise of arithmetic, and stays as it is
 FEW_TO_COMPARE = 4  # rows of a batch below which it does not tell what rests
+MOST_WEIGHT = 1e37  # of a bonus that float32 holds at five standard deviations
 BONUS_BOUND = 5.0  # standard deviations at which a bonus is cut, so that no tail rules
 HASH_OFFSET = 0x9E3779B9  # so that zeros count; the golden ratio's digits
 HASH_FACTOR = 0x5851F42D4C957F2D  # odd, of Knuth's generator MMIX
@@ -366,7 +367,7 @@ class Standardization(nn.Module):
 
     Raises:
         TypeError: If `weight` is no number, or another argument neither True nor False.
-        ValueError: If `weight` is negative or not finite.
+        ValueError: If `weight` is negative or beyond 1e37.
     """
 
     def __init__(self, *, weight: float, center: bool, scale: bool) -> None:
@@ -374,6 +375,8 @@ class Standardization(nn.Module):
         if not (is_number(weight) and weight >= 0):
             check_number_kind(weight=weight)
             raise ValueError(f"`weight` must be finite and not negative, got {weight}.")
+        if weight > MOST_WEIGHT:
+            raise ValueError(f"`weight` must be at most {MOST_WEIGHT:g}, got {weight}.")
         check_flags(center=center, scale=scale)
         self.weight = float(weight)  # torch takes no large whole number
         self.center = center

@@ -92,8 +92,8 @@ class TrainedPolicy:
 
         Raises:
             TypeError: If an argument is not of real numbers.
-            ValueError: If the observation has another shape, or an entry that is NaN or infinite,
-                or an argument is out of place in this run.
+            ValueError: If the observation has another shape, or an entry that is NaN, infinite or
+                beyond float32, or an argument is out of place in this run.
         """
         if curious and not self.has_curious_policy:
             raise ValueError("`curious` must be False for a run with one policy, got True.")
@@ -242,7 +242,8 @@ def task_spaces(
     if action_bounds is None:
         raise ValueError(
             f"`action_bounds` must be given for a run without a {SPACES}, such as (-1, 1) for the "
-            f"tasks of this package, got None for {trained.folder}."
+            f"tasks of this package, got None for {trained.folder}; load and export of Python "
+            "take them, and a run that is continued writes the file."
         )
     low, high = _bounds(action_bounds, policy.action_dim)
     frames = trained.config.environment.frame_stack

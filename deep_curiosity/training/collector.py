@@ -24,6 +24,7 @@ from deep_curiosity.training.outliers import (
     FACTOR,
     USUAL_REWARD,
     UsualSize,
+    cut_absurd,
     usual_size,
 )
 from deep_curiosity.training.single_environment import SingleEnvironment
@@ -91,7 +92,7 @@ class Collector:
             that what a step returns is the true next observation also where an episode ends.
         seed: Together with the number of the episode it seeds every reset.
         usual_observation: `(observation_dim,)`, sizes that another collector of the task has found
-            usual; by default those of the first observation.
+            usual, which stay as they are; by default those of the first observation, which follow.
 
     Raises:
         ValueError: If the environment resets by itself.
@@ -126,7 +127,7 @@ class Collector:
         self._success = np.zeros(num_envs)
         self._num_broken_in_row = 0
         self._is_restoring = False
-        self._is_first = usual_observation is None  # of all observations
+        self._is_first = self._learns_usual = usual_observation is None  # of all observations
         space = environment.single_observation_space
         assert isinstance(space, spaces.Box)
         self._usual_observation = UsualSize(usual_size(space.low, space.high))
@@ -192,7 +193,8 @@ class Collector:
 
     def _cut(self, name: str, usual: UsualSize, value: np.ndarray) -> np.ndarray:
         """A value within its usual bounds; the first one beyond is told of."""
-        cut = usual.cut(value)
+        follows = self._learns_usual or usual is not self._usual_observation
+        cut = usual.cut(value) if follows else cut_absurd(value, usual.size, usual.kept)
         if cut is not value and name not in self._cut_names and not self._is_restoring:
             self._cut_names.add(name)
             _, entry = np.argwhere(cut != value)[0]

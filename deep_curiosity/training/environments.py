@@ -112,7 +112,7 @@ def _source(config: EnvironmentConfig, make_env: MakeEnv | None) -> EnvSpec | Ma
             raise ValueError(
                 "`make_env` must be given again, since a function of the caller made the "
                 "environments of this run: it goes on by deep_curiosity.continue_run(folder, "
-                "make_env=...), got None."
+                "make_env=...) and acts by deep_curiosity.load(folder), got None."
             )
         return gymnasium.spec(registered_id(config.env_id))
     if config.env_id != MADE_BY_FUNCTION or config.env_kwargs:

@@ -972,6 +972,21 @@ def test_features_that_are_refused_change_nothing(watchful, visited):
     assert_unchanged(bonus, before)
 
 
+def test_features_that_are_none_are_refused_before_anything_learns_of_them():
+    bonus = CuriosityBonus.default(3, 2, hidden_dims=(8,), features=root_features)
+    good, bad = random_transition(), random_transition()
+    for batch in (good, bad):
+        batch.observation.abs_(), batch.next_observation.abs_()
+    bonus.observe(good)
+    bad.next_observation[3, 1] = -1.0
+    message = r"`features` must be finite, got .*nan"
+    with pytest.raises(ValueError, match=message):
+        bonus.loss(bad)
+    with pytest.raises(ValueError, match=message):
+        bonus(bad.next_observation, bad.action)
+    assert bonus.loss(good).isfinite()
+
+
 @pytest.mark.parametrize("batch_size", [2, 5])
 def test_small_batches_are_paid_a_bonus_of_about_its_weight(batch_size):
     torch.manual_seed(0)

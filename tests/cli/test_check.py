@@ -52,8 +52,11 @@ def test_a_useless_bonus_is_reported_by_the_exit_status():
     [
         (["CartPole-v1"], "error: `action_space` must be a Box"),
         (["PendulumSwingup", "--bonus", "luck"], "error: `bonus` must be one of"),
+        (["PendulumSwingup", "--bonus", "none"], "error: `bonus` must not be 'none'"),
+        (["PendulumSwingup", "--num-steps", "1"], "`num_steps` must be at least 2,"),
     ],
 )
 def test_what_cannot_be_checked_is_reported_in_a_line(arguments, message):
     done = check(*arguments)
     assert done.returncode != 0 and message in done.stderr and "Traceback" not in done.stderr
+    assert not done.stdout

@@ -123,6 +123,16 @@ def test_a_video_of_held_actions_keeps_the_pace_of_the_task(tiny, tmp_path):
     assert imageio.get_reader(video).get_meta_data()["duration"] == 200  # ms, of four steps
 
 
+def test_a_task_that_tells_no_pace_has_thirty_frames_a_second(tiny, tmp_path, monkeypatch):
+    monkeypatch.setitem(Flickers.metadata, "render_fps", None)
+    gymnasium.register("evaluate/Paceless-v0", Flickers)
+    config = tiny.override(env_id="evaluate/Paceless-v0", env_kwargs={}, action_repeat=3)
+    train(config, show_progress=False)
+    video = tmp_path / "film.gif"
+    assert main(["evaluate", str(tiny.run.out), "--episodes", "1", "--video", str(video)]) == 0
+    assert imageio.get_reader(video).get_meta_data()["duration"] == 100
+
+
 def test_a_missing_video_package_is_asked_for_by_name(tmp_path, monkeypatch, refusal):
     monkeypatch.setitem(sys.modules, "imageio", None)
     for command in (["evaluate", tmp_path], ["demo"]):

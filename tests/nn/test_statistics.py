@@ -277,6 +277,11 @@ def test_a_weight_that_is_negative_or_not_finite_is_rejected(weight):
         Standardization(weight=weight, center=True, scale=True)
 
 
+def test_a_weight_that_makes_bonuses_infinite_is_rejected():
+    with pytest.raises(ValueError, match=r"`weight` must be at most 1e\+37, got 1e\+300"):
+        Standardization(weight=1e300, center=True, scale=True)
+
+
 @pytest.mark.parametrize("weight", [torch.tensor(0.1), Fraction(1, 10), "0.1", True, None])
 def test_a_weight_must_be_a_number(weight):
     jaxtyping.config.update("jaxtyping_disable", True)  # whose own error would come first

@@ -457,3 +457,5 @@ def test_a_policy_is_evaluated_on_what_it_was_shown_in_training():
     assert collector.observation == 0 and collector._raw_observation == 0
     assert shown(usual_observation=collector.usual_observation) == [0.0, 500.0, 500.0] * 2
     assert max(shown()) < 500  # where nothing is known of the task
+    known = set(shown(usual_observation=np.array([1.0])))
+    assert known == {0.0, 1.0}  # what is usual stays what the policy has learned with

@@ -148,7 +148,7 @@ class BaselineBonus(Bonus):
             is_far = self.observation_moments.is_far
             is_absurd = is_far(observation) | is_far(next_observation)
             self.standardization.update(replaced_by_mean(score, is_absurd))
-            # only now: what is scored is not remembered yet
+        if len(late.action):  # only now: what is scored is not remembered yet
             self.update_statistics(late, fresh_action)
 
     @property

@@ -7,6 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from deep_curiosity.bonuses.base import Bonus, Policy
+from deep_curiosity.nn.statistics import MOST_WEIGHT
 from deep_curiosity.transitions import Transition, check_inputs, check_transition_kind, is_number
 
 
@@ -15,14 +16,19 @@ class ConstantBonus(Bonus):
 
     Args:
         value: Bonus of each pair.
+
+    Raises:
+        ValueError: If it is no number, or its size beyond 1e37.
     """
 
     value: Tensor
 
     def __init__(self, value: float) -> None:
         super().__init__()
-        if not is_number(value):
-            raise ValueError(f"`value` must be a finite number, got {value!r}.")
+        if not (is_number(value) and abs(value) <= MOST_WEIGHT):
+            raise ValueError(
+                f"`value` must be a number of a size up to {MOST_WEIGHT:g}, got {value!r}."
+            )
         self.register_buffer("value", torch.tensor(float(value)))
 
     def forward(

@@ -56,6 +56,12 @@ def test_an_entry_that_rests_at_first_does_not_drown_the_others():
     assert len(bonus._slots(torch.randn(2_000, 3))[0].unique()) > 500
 
 
+def test_all_visits_are_counted_beside_a_first_batch_of_one():
+    bonus = HashCountBonus(2, 1, **RAW)
+    bonus.observe(transition(torch.randn(1, 2)), None, transition(torch.randn(8, 2)))
+    assert bonus.counts[0].sum() == 8
+
+
 def test_no_visit_changes_no_count():
     bonus = HashCountBonus(2, 1, **RAW)
     state = torch.randn(50, 2)
