@@ -138,11 +138,6 @@ def check_batch(name: str, value: Tensor, dim: int, dtype: torch.dtype = torch.f
         raise ValueError(f"`{name}` must have shape (batch, {dim}), got {tuple(value.shape)}.")
 
 
-def has_values() -> bool:
-    """Whether tensors hold numbers to look at: in a graph, or in `torch.func`, they do not."""
-    return not (torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active())
-
-
 def check_inputs(dtype: torch.dtype, **inputs: tuple[Any, int]) -> None:
     """Reject what are not batches of vectors that belong together and can be computed with.
 
@@ -158,7 +153,7 @@ def check_inputs(dtype: torch.dtype, **inputs: tuple[Any, int]) -> None:
     """
     total: Any = None
     first: Any = None
-    is_looked_at = has_values()
+    has_values = not (torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active())
     for name, (value, dim) in inputs.items():
         fits = isinstance(value, Tensor) and value.dtype == dtype
         if not fits or value.ndim != 2 or value.shape[1] != dim:
@@ -169,11 +164,11 @@ def check_inputs(dtype: torch.dtype, **inputs: tuple[Any, int]) -> None:
                 f"`{name}` must have as many rows as `{next(iter(inputs))}`, {len(first)}, "
                 f"got {len(value)}."
             )
-        if is_looked_at:
+        if has_values:
             norm = torch.linalg.vector_norm(value.detach())
             share = LARGEST / LIMITS.get(name, LARGEST)
             total = norm * share if total is None else torch.add(total, norm, alpha=share)
-    if is_looked_at and not total <= LARGEST:  # one wait for a device
+    if has_values and not total <= LARGEST:  # one wait for a device
         check_moderate(**{name: value for name, (value, _) in inputs.items()})
 
 

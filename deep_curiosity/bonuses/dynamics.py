@@ -13,13 +13,7 @@ from torch.nn.functional import softplus
 from deep_curiosity.gaussians import DiagonalMixture
 from deep_curiosity.nn.networks import StackedMLP, assign_rows, log_softmax_of_rest, restore_order
 from deep_curiosity.nn.statistics import HASH_FACTOR, HASH_OFFSET, WHITENINGS, scrambled
-from deep_curiosity.transitions import (
-    Transition,
-    check_counts,
-    check_moderate,
-    check_positive,
-    has_values,
-)
+from deep_curiosity.transitions import Transition, check_counts, check_moderate, check_positive
 
 Whitening = Literal["moments", "robust", "saturating"]
 Members = Literal["round_robin", "all"]
@@ -292,7 +286,7 @@ class DynamicsEnsemble(nn.Module):
         if self.features is None:
             return observation
         features = self.features(observation.flatten(0, -2))
-        if has_values():
+        if not (torch.compiler.is_compiling() or torch._C._are_functorch_transforms_active()):
             check_moderate(features=features)
         return features.unflatten(0, observation.shape[:-1])
 
