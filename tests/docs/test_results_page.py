@@ -19,6 +19,7 @@ from tests.docs.pages import ROOT, text_of
 FOLDER = ROOT / "docs/results"
 NAMES = (
     "results",
+    "results_others",
     "results_dense",
     "overlap",
     "overlap_dense",
@@ -59,8 +60,9 @@ def page():
     return (FOLDER / "README.md").read_text()
 
 
-def test_the_table_of_the_page_is_that_of_the_rows(page):
-    assert solved_table(TABLES["results"]) in page
+@pytest.mark.parametrize("name", ["results", "results_others"])
+def test_the_tables_of_the_page_are_those_of_the_rows(page, name):
+    assert solved_table(TABLES[name]) in page
 
 
 def better_than():
