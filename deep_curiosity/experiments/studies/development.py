@@ -21,30 +21,33 @@ from deep_curiosity.experiments.study import Agents, Study, Task
 from deep_curiosity.training.config import Config
 
 CAR = halved(MOUNTAIN_CAR, 12_000)
+QUICK = [halved(PENDULUM), halved(MAZE), CAR]
 TASKS = [
-    halved(PENDULUM),
-    halved(MAZE),
+    *QUICK,
     halved(MAZE_THAT_ENDS),
-    CAR,
     halved(CARTPOLE, 20_000),
     halved(CARTPOLE_SPARSE, 20_000),
 ]
 DEFAULT: Agents = {"default": {}}
 RAW: Agents = {"raw observations": {"normalize_observations": False}}
 STEADY: Agents = {"steady greedy share": {"adaptive_greedy_share": False}}
-AGENTS: Agents = {
-    **DEFAULT,
-    "no greedy policy": {"greedy_share": 0.0},
-    "half of the steps greedy": {"greedy_share": 0.5},
-    "one step ahead": {"reward_steps": 1, "curiosity_steps": 1},
-    "moments": {"whitening": "moments"},
+ABLATIONS: Agents = {
     "256 components": {"components": 256},
     "nothing forgotten": {"marginal_half_life": None},
+    "moments": {"whitening": "moments"},
+    "no greedy policy": {"greedy_share": 0.0},
+    "one step ahead": {"reward_steps": 1, "curiosity_steps": 1},
+    **UNIFORM,
+}
+"""The default without one of its parts each."""
+AGENTS: Agents = {
+    **DEFAULT,
+    **ABLATIONS,
+    "half of the steps greedy": {"greedy_share": 0.5},
     "soft backup": {"soft_backup": True},
     "layer norm": {"critic_layer_norm": True},
     **STEADY,
     **RAW,
-    **UNIFORM,
 }
 OTHER_UNITS = [CAR] + [
     halved(
@@ -87,6 +90,7 @@ SCORED: dict[str, Any] = {
 STUDIES = {
     "harm": Study(DENSE_TASKS, CURIOSITY | PLAIN | STEADY, seeds=8, **SCORED),
     "development": Study(TASKS, AGENTS, seeds=8, **SCORED),
+    "ablation": Study(QUICK, DEFAULT | ABLATIONS, seeds=8, **SCORED),
     "units": Study(OTHER_UNITS, DEFAULT | RAW, seeds=4, **SCORED),
     "standardization": Study(
         FIXED_TASKS,
