@@ -24,17 +24,16 @@ def run(*arguments):
     )
 
 
-def test_train_resume_and_evaluate(tmp_path):
+def test_train_resume_and_evaluate(tmp_path, capsys):
     out = tmp_path / "run"
     trained = run("train", "--env-id", "PointMaze", *TINY, "--out", out)
     assert trained.returncode == 0, trained.stderr
     assert "nats=" in trained.stderr
-    resumed = run("train", "--resume", out, "--total-steps", 80)
-    assert resumed.returncode == 0, resumed.stderr
+    assert main(["train", "--resume", str(out), "--total-steps", "80"]) == 0
     assert json.loads((out / "summary.json").read_text())["total_steps"] == 80
-    evaluated = run("evaluate", out, "--episodes", 2)
-    assert evaluated.returncode == 0, evaluated.stderr
-    assert evaluated.stdout.startswith("PointMaze: return ")
+    capsys.readouterr()
+    assert main(["evaluate", str(out), "--episodes", "2"]) == 0
+    assert capsys.readouterr().out.startswith("PointMaze: return ")
 
 
 @pytest.mark.parametrize(

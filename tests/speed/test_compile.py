@@ -296,6 +296,7 @@ def test_a_settled_graph_is_called_without_looking_it_up_and_refuses_other_shape
     assert refused == "True"
 
 
+@slow
 def test_what_a_graph_does_not_follow_cannot_be_set_and_the_rest_takes_effect():
     config, learning_rate, *effects = output_of(SEALED)
     assert config.startswith("`config` of this CuriousSAC is part of a compiled update")

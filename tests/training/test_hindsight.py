@@ -478,7 +478,15 @@ def test_goals_in_hindsight_change_what_is_learned(tiny, tmp_path, task, change)
     assert name in differences(found["agent"], others["agent"])
 
 
-@pytest.mark.parametrize("change", [{}, {"num_envs": 3, "vectorization": "async"}], ids=str)
+@pytest.mark.parametrize(
+    "change",
+    [
+        {},
+        {"num_envs": 3, "vectorization": "sync"},
+        pytest.param({"num_envs": 3, "vectorization": "async"}, marks=pytest.mark.slow),
+    ],
+    ids=str,
+)
 def test_a_resumed_run_equals_an_uninterrupted_one(tiny, tmp_path, change):
     config = own(tiny, replay_capacity=40, **change)
     whole = trained(config.override(out=tmp_path / "whole"), Ends)

@@ -115,6 +115,7 @@ def test_a_run_on_a_function_leaves_its_picture(small):
     assert (small.run.out / "run.png").exists()
 
 
+@pytest.mark.filterwarnings("ignore:`observation` should stay")  # it goes far beyond 30 steps
 def test_a_task_without_end_is_told_of_and_its_evaluation_ends(small):
     class Endless(Mass):
         def step(self, action):

@@ -151,7 +151,13 @@ def stacked():
     return VecFrameStack(DummyVecEnv([make_env] * 2), 2)
 
 
-@pytest.mark.parametrize("make_env", [stacked, lambda: VecMonitor(VecNormalize(stacked()))])
+@pytest.mark.parametrize(
+    "make_env",
+    [
+        pytest.param(stacked, marks=pytest.mark.slow),
+        lambda: VecMonitor(VecNormalize(stacked())),
+    ],
+)
 @pytest.mark.parametrize("make", [sac, partial(ppo, CuriousRolloutBuffer)], ids=["SAC", "PPO"])
 def test_what_wrappers_change_below_the_normalisation_is_the_environment(make, make_env):
     report = check_integration(make(make_env=make_env), num_steps=NUM_STEPS)
