@@ -123,9 +123,9 @@ class RunConfig(Group):
     batch_size: int = 256
     """Transitions in an update."""
     hindsight: int | None = setting(None, at_most=1_000)
-    """Goals in hindsight for each real one in an update: what was achieved at a later step of the
-    episode, as if it was desired. For dictionaries of observation, achieved_goal and desired_goal
-    whose environment has compute_reward; by default none."""
+    """Goals in hindsight for each real one in an update: what was achieved at that step or a
+    later one of its episode, as if it was desired. For dictionaries of observation, achieved_goal
+    and desired_goal whose environment has compute_reward; by default none."""
     replay_capacity: int = setting(1_000_000, at_most=10**9)
     """Transitions kept; memory is taken only as they come."""
     exploration: Literal["policy", "gsde", "pink", "ou"] = "policy"
