@@ -177,7 +177,8 @@ def sample_index(log_weight: Float[Tensor, "*batch choices"]) -> Int[Tensor, "*b
 
     `torch.multinomial` would look at the values first, for which a device is waited.
     """
-    gumbel = -(-torch.rand_like(log_weight).log()).log()
+    tiny = torch.finfo(log_weight.dtype).tiny  # at 0, what has no weight would come first
+    gumbel = -(-torch.rand_like(log_weight).clamp(min=tiny).log()).log()
     return (log_weight + gumbel).argmax(-1)
 
 
@@ -361,7 +362,9 @@ def expected_log_density(
     It is linear in the first two moments of the Gaussian: one matrix product for all pairs. The
     product is taken in float64 by default, because sharp components leave small
     differences of large squares; in float32 it is off by some 1e-3 nats at 17 dimensions where
-    components have a standard deviation of 0.05, and by less where they are wider.
+    components have a standard deviation of 0.05, and by less where they are wider. The squares are
+    about the origin: subtract a place in their midst from all means where these are 1e5 and more
+    standard deviations of a component away from it, or float64 is off by 1e-6 nats and more.
     """
     if loc.ndim == 1:  # one Gaussian alone, for which there is no matrix product
         mixture = component_loc, component_log_var, component_log_weight

@@ -461,3 +461,9 @@ def test_half_precision_is_enough_for_weights_of_zero_and_others():
     rounded = kl_to_mixture_upper(*halves)
     assert rounded.dtype == torch.float16
     torch.testing.assert_close(rounded.double(), exact, rtol=1e-2, atol=2e-2)
+
+
+def test_a_choice_without_weight_is_never_made(monkeypatch):
+    monkeypatch.setattr(torch, "rand_like", torch.zeros_like)  # as once in 2^24 draws
+    log_weight = torch.tensor([-torch.inf, 0.0, -torch.inf])
+    assert sample_index(log_weight) == 1

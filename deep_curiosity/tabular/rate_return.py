@@ -25,14 +25,14 @@ from deep_curiosity.tabular.policies import information_limited, uniform_log_pol
 
 NUM_BISECTIONS = 40  # each halves the bracket of log lambda
 RATE_TOLERANCE = 1e-6  # nats below the given rate that end the bisection
-BRACKET = (1e-3, 1e3)  # in ranges of the values: nearly deterministic, and nearly zero rate
+BRACKET = (1e-3, 1e3)  # in ranges of a state's values: nearly deterministic, nearly zero rate
 
 
 class RatePoint(NamedTuple):
     """One point of the curve.
 
     Args:
-        temperature: The price lambda, which is the slope of the curve here.
+        temperature: The price lambda, which is the slope of the curve here; 0 where it ends.
         rate: I(A; X), in nats.
         value: Expected return V.
         policy: The policy that attains it.
@@ -71,7 +71,7 @@ def solve_rate_limited(
     check_finite("action_value", action_value)
     check_shape("state_distribution", state_distribution, action_value.shape[:1])
     check_distribution("state_distribution", state_distribution)
-    value_range = float(np.ptp(action_value)) or np.inf  # where all is equal, nothing moves
+    value_range = _value_range(action_value, state_distribution) or np.inf  # equals: nothing moves
 
     def step(log_policy: np.ndarray) -> tuple[np.ndarray, float]:
         policy = np.exp(log_policy)
@@ -131,14 +131,15 @@ def largest_return(
     """
     check_range("rate", rate, 0.0, np.inf)
     check_finite("action_value", action_value)
-    value_range = float(np.ptp(action_value))
+    value_range = _value_range(action_value, state_distribution)
     best = zero_rate_point(action_value, state_distribution)
     if rate == 0 or value_range == 0:
         return best
     low, high = (float(np.log(value_range * end)) for end in BRACKET)
     freest = rate_point(action_value, state_distribution, float(np.exp(low)))
     if freest.rate <= rate:
-        return freest
+        greedy = _greedy_point(action_value, state_distribution, freest)
+        return greedy if greedy.rate <= rate else freest
     for _ in range(NUM_BISECTIONS):
         point = rate_point(action_value, state_distribution, float(np.exp((low + high) / 2)))
         if point.rate <= rate:
@@ -162,3 +163,21 @@ def zero_rate_point(
     policy = np.tile(np.eye(num_actions)[best], (num_states, 1))
     value = expected_return(state_distribution, policy, action_value)
     return RatePoint(float(np.inf), 0.0, value, policy, converged=True)
+
+
+def _value_range(action_value: np.ndarray, state_distribution: np.ndarray) -> float:
+    """Largest difference between the actions of a state that is met, the unit of every price."""
+    return float(np.ptp(action_value[state_distribution > 0], axis=1).max())
+
+
+def _greedy_point(
+    action_value: np.ndarray, state_distribution: np.ndarray, freest: RatePoint
+) -> RatePoint:
+    """The end of the curve, the largest return there is; equal actions as `freest` takes them."""
+    is_best = action_value == action_value.max(axis=1, keepdims=True)
+    weight = is_best * (state_distribution @ freest.policy)
+    weight = np.where(weight.any(axis=1, keepdims=True), weight, is_best)  # in states never met
+    policy = weight / weight.sum(axis=1, keepdims=True)
+    rate = action_information(policy, state_distribution)
+    value = expected_return(state_distribution, policy, action_value)
+    return RatePoint(0.0, rate, value, policy, freest.converged)

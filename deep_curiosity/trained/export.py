@@ -26,6 +26,7 @@ from deep_curiosity.trained.source import (
 from deep_curiosity.training.log import CONFIG, WEIGHTS, write_json, written_whole
 from deep_curiosity.training.outliers import FACTOR
 from deep_curiosity.training.spaces import SPACES
+from deep_curiosity.transitions import check_flags
 
 Format = Literal["onnx", "torch", "safetensors"]
 FORMATS: dict[str, Format] = {".onnx": "onnx", ".pt2": "torch"}
@@ -59,8 +60,10 @@ class Actor(nn.Module):
         self.components = network.mixture_components
         usual = policy.usual_observation
         self.register_buffer(USUAL_OBSERVATION, None if usual is None else usual.float())
-        self.register_buffer("low", torch.tensor(policy.spaces.action_low, dtype=torch.float32))
-        self.register_buffer("high", torch.tensor(policy.spaces.action_high, dtype=torch.float32))
+        exact = policy.spaces.action_dtype == "float64"  # whose bounds float32 may not tell apart
+        dtype = torch.float64 if exact else torch.float32
+        self.register_buffer("low", torch.tensor(policy.spaces.action_low, dtype=dtype))
+        self.register_buffer("high", torch.tensor(policy.spaces.action_high, dtype=dtype))
 
     def forward(self, observation: Tensor, hunger: Tensor | None = None) -> Tensor:
         """Centre of the policy, in units of the task.
@@ -75,7 +78,7 @@ class Actor(nn.Module):
         value = value if hunger is None else torch.cat([value, hunger], dim=-1)
         for layer in self.layers[:-1]:
             value = torch.relu(layer(value))
-        action = torch.tanh(self._centre(self.layers[-1](value)))
+        action = torch.tanh(self._centre(self.layers[-1](value))).to(self.low.dtype)
         rescaled = self.low + (self.high - self.low) * (action + 1) / 2
         return torch.minimum(torch.maximum(rescaled, self.low), self.high)
 
@@ -111,7 +114,8 @@ def export(
 
     A file of ONNX or of torch takes `observation`, `(batch, observation_dim)` in float32, and
     behind it `hunger`, `(batch, 1)`, of a run that is conditioned on it; it gives `action`,
-    `(batch, action_dim)`, the centre of the policy in units of the task. A folder of safetensors
+    `(batch, action_dim)`, the centre of the policy in units of the task, in float64 where its
+    action space is and else in float32. A folder of safetensors
     holds the settings, both policies, and models and statistics of the bonus: `load`, `load_model`
     and `load_bonus` read it.
 
@@ -130,9 +134,10 @@ def export(
         FileExistsError: If there is something of this name.
         ImportError: If what the format needs is missing.
         OSError: If it cannot be written; nothing is left of it.
-        TypeError: If `folder` or `out` is no path.
+        TypeError: If `folder` or `out` is no path, or `curious` neither True nor False.
         ValueError: If the format is unknown, or the run has no curious policy of its own.
     """
+    check_flags(curious=curious)
     out = as_path("out", out)
     chosen = format or _format_of(out)
     if chosen not in get_args(Format):

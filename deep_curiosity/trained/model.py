@@ -68,7 +68,8 @@ class TrainedModel:
         Args:
             observation: `(observation_dim,)` or `(batch, observation_dim)`, or dictionaries as the
                 task gives them; windows, as `FrameStack` makes them, where the run stacked frames.
-            action: `(action_dim,)` or `(batch, action_dim)`, in the task's own units.
+            action: `(action_dim,)` or `(batch, action_dim)`, in the task's own units; beyond its
+                bounds it counts as at them.
             num_samples: Next observations that are sampled for each.
             seed: Of the samples.
 
@@ -82,7 +83,8 @@ class TrainedModel:
         check_seed(seed)
         vector = self._vector(observation)
         batch = as_batch("observation", vector, self.dynamics.observation_dim)
-        given = as_float32("action", action)
+        as_float32("action", action)  # refuses what are no numbers
+        given = np.asarray(action, dtype=np.float64)  # a box far from zero is wider than float32
         actions = self.spaces.from_task(as_batch("action", given, self.dynamics.action_dim))
         if len(batch) != len(actions):
             raise ValueError(

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import torch
@@ -19,11 +19,13 @@ from deep_curiosity.training.hunger import battery_hunger
 from deep_curiosity.training.outliers import cut_absurd
 from deep_curiosity.training.spaces import SPACES, TaskSpaces
 from deep_curiosity.training.windows import first_window, next_window
+from deep_curiosity.transitions import check_flags
 
 State = tuple[np.ndarray, ...]
 """What a policy on a frame stack remembers: its windows, and the actions it gave, in [-1, 1]."""
 Numbers = np.ndarray | np.generic | Sequence[float | int] | float | int
 ActionBounds = tuple[Numbers, Numbers]
+Real = TypeVar("Real", bound=np.floating)
 
 
 class TrainedPolicy:
@@ -91,10 +93,12 @@ class TrainedPolicy:
             what is to be given as `state` to the next call, `None` without a stack.
 
         Raises:
-            TypeError: If an argument is not of real numbers.
+            TypeError: If an argument is not of real numbers, or `deterministic` or `curious` is
+                neither True nor False.
             ValueError: If the observation has another shape, or an entry that is NaN, infinite or
                 beyond float32, or an argument is out of place in this run.
         """
+        check_flags(deterministic=deterministic, curious=curious)
         if curious and not self.has_curious_policy:
             raise ValueError("`curious` must be False for a run with one policy, got True.")
         vector = self.spaces.to_vector(observation)
@@ -122,7 +126,7 @@ class TrainedPolicy:
         if state is None:
             return first
         _check_state(state, first.shape, (len(batch), len(self.spaces.action_low)))
-        window, action = state
+        window, action = (as_float32("state", array) for array in state)
         later = next_window(window, action, batch)
         return np.where(begins[:, None], first, later)
 
@@ -271,7 +275,7 @@ def _bounds(action_bounds: ActionBounds, action_dim: int) -> NDArray[np.float64]
     return bounds
 
 
-def as_batch(name: str, vector: NDArray[np.float32], dim: int) -> NDArray[np.float32]:
+def as_batch(name: str, vector: NDArray[Real], dim: int) -> NDArray[Real]:
     """Vectors as a batch of them.
 
     Raises:
@@ -295,7 +299,7 @@ def _check_state(state: Any, *shapes: tuple[int, ...]) -> None:
             "`state` must be what the call before returned for as many observations, arrays of "
             f"shapes {shapes[0]} and {shapes[1]}, got {got}."
         )
-    if not all(np.isfinite(array).all() for array in state):
+    if not all(np.isfinite(as_float32("state", array)).all() for array in state):
         raise ValueError(f"`state` must be finite, got {state}.")
 
 

@@ -28,7 +28,7 @@ class FrameStack(gymnasium.Wrapper):
         num_frames: Observations in a window; actions are one fewer.
 
     Raises:
-        ValueError: If `num_frames` is below one.
+        ValueError: If `num_frames` is below one, or a space no box of vectors.
     """
 
     def __init__(self, env: gymnasium.Env, num_frames: int) -> None:
@@ -102,11 +102,11 @@ def window_space(
     """Space of the windows over both spaces, which are boxes of vectors.
 
     Raises:
-        ValueError: If `num_frames` is below one.
+        ValueError: If `num_frames` is below one, or a space no box of vectors.
     """
     if num_frames < 1:
         raise ValueError(f"`num_frames` must be at least 1, got {num_frames}.")
-    assert isinstance(observation_space, spaces.Box) and isinstance(action_space, spaces.Box)
+    observation_space, action_space = _vectors(observation_space), _vectors(action_space)
     low, high = (
         np.concatenate([*[observation, action] * (num_frames - 1), observation])
         for observation, action in (
@@ -116,6 +116,15 @@ def window_space(
     )
     dtype = real_dtype(observation_space.dtype)  # whole numbers have no room for an action
     return spaces.Box(low.astype(dtype), high.astype(dtype), dtype=dtype)
+
+
+def _vectors(space: spaces.Space) -> spaces.Box:
+    if not (isinstance(space, spaces.Box) and len(space.shape) == 1):
+        raise ValueError(
+            "`env` must have boxes of vectors as its spaces, as FlattenObservation makes them of "
+            f"dictionaries, got {space}."
+        )
+    return space
 
 
 def _size(space: spaces.Space) -> int:

@@ -127,6 +127,36 @@ def test_dual_at_a_free_rate_is_greedy():
     assert point.value == pytest.approx(states @ action_value.max(1))
 
 
+@pytest.mark.parametrize("offset", [1e4, 1e6])
+@pytest.mark.parametrize("rate", [0.5, np.inf])
+def test_dual_is_about_what_actions_differ_in_and_not_about_how_good_a_state_is(offset, rate):
+    states = np.full(4, 0.25)
+    values = offset * np.array([0.0, 0.0, 0.0, 1.0])
+    plain = largest_return(np.eye(4), states, rate)
+    point = largest_return(np.eye(4) + values[:, None], states, rate)
+    assert point.rate == pytest.approx(plain.rate, abs=1e-5)
+    assert point.value - values.mean() == pytest.approx(plain.value, abs=1e-5)
+
+
+def test_dual_leaves_states_that_are_never_met_aside():
+    action_value = np.array([[0.0, 1.0], [1.0, 0.0], [0.0, 1e7]])
+    point = largest_return(action_value, np.array([0.5, 0.5, 0.0]), np.inf)
+    assert point.value == 1 and point.rate == pytest.approx(np.log(2))
+
+
+def test_dual_at_a_free_rate_is_greedy_however_little_the_best_action_is_ahead():
+    action_value = np.array([[0.0, 1.0], [5e-4, 0.0], [1.0, 0.0]])
+    point = largest_return(action_value, np.full(3, 1 / 3), np.inf)
+    assert point.value == pytest.approx(2.0005 / 3, rel=1e-12)
+    assert point.temperature == 0 and point.converged
+
+
+def test_dual_at_a_free_rate_takes_the_best_actions_that_tell_least():
+    action_value = np.array([[1.0, 0.0], [1.0, 1.0]])
+    point = largest_return(action_value, np.array([0.5, 0.5]), np.inf)
+    assert point.value == 1 and point.rate < 1e-3
+
+
 def test_dual_of_equal_values_has_rate_zero():
     assert largest_return(np.ones((2, 3)), np.array([0.5, 0.5]), 1.0).rate == 0
 

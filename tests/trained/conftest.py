@@ -24,12 +24,31 @@ class Slope(gymnasium.Env):
 
     def step(self, action):
         assert self.action_space.contains(action)
-        self.point = self.point + 0.1 * np.append(action, -0.5)
+        self.point = self.point + 0.1 * np.append(self.push(action), -0.5)
         reward = -float(np.abs(self.point[:2]).sum())
         return self.point.astype(np.float32), reward, False, False, {}
 
 
+    def push(self, action):
+        return action
+
+
 gymnasium.register(TASK, Slope, max_episode_steps=15)
+
+
+@pytest.fixture(scope="session")
+def far_run(slope_config, tmp_path_factory):
+    """Folder of a run whose actions lie where float32 tells few of them apart."""
+
+    class Far(Slope):
+        action_space = spaces.Box(np.array([0.1, 1e6]), np.array([0.3, 1e6 + 1]), dtype=np.float64)
+
+        def push(self, action):
+            return action - self.action_space.low
+
+    folder = tmp_path_factory.mktemp("far") / "run"
+    train(slope_config.override(env_id="make_env", out=folder), make_env=Far, show_progress=False)
+    return folder
 
 
 @pytest.fixture(scope="session")

@@ -63,6 +63,20 @@ def test_a_file_gives_the_actions_of_the_policy(run_of, tmp_path, suffix, settin
     assert np.ptp(expected, axis=0).min() > 1e-3
 
 
+@pytest.mark.parametrize("suffix", RUNNERS)
+def test_a_file_gives_actions_as_fine_as_their_space(far_run, tmp_path, suffix):
+    if suffix == ".onnx":
+        pytest.importorskip("onnxscript")
+    path = dc.export(far_run, tmp_path / f"policy{suffix}")
+    action = RUNNERS[suffix](path, {"observation": OBSERVATIONS})
+    policy = dc.load(far_run)
+    np.testing.assert_allclose(action, policy.predict(OBSERVATIONS)[0], rtol=0, atol=1e-6)
+    assert action.dtype == np.float64
+    assert (action >= policy.spaces.action_low).all() and (
+        action <= policy.spaces.action_high
+    ).all()
+
+
 def test_a_file_may_hold_the_curious_policy(run_of, tmp_path):
     path = dc.export(run_of(), tmp_path / "policy.pt2", curious=True)
     policy = dc.load(run_of())

@@ -71,6 +71,12 @@ def test_samples_that_cannot_be_drawn_are_refused_by_name(run_of, argument, erro
     model.predict(OBSERVATIONS, ACTIONS, num_samples=np.int64(2), seed=np.int64(-1))
 
 
+def test_actions_are_as_fine_as_their_space(far_run):
+    model = dc.load_model(far_run)
+    first, second = (model.predict(OBSERVATIONS[0], [0.2, 1e6 + part]) for part in (0.30, 0.33))
+    assert not np.array_equal(first.mean, second.mean)
+
+
 def test_actions_beyond_the_bounds_are_cut(run_of):
     model = dc.load_model(run_of())
     at, beyond = (model.predict(OBSERVATIONS[0], action) for action in (HIGH, (9.0, 9.0)))

@@ -154,6 +154,16 @@ def test_a_state_is_that_of_the_call_before(run_of):
         policy.predict(OBSERVATIONS[:1], (window, action))
     with pytest.raises(ValueError, match="`state` must be finite, got "):
         policy.predict(OBSERVATIONS[:2], (window, np.full_like(action, np.nan)))
+    with pytest.raises(TypeError, match="`state` must be of real numbers, got "):
+        policy.predict(OBSERVATIONS[:2], (window.astype(str), action))
+
+
+@pytest.mark.parametrize("name", ["deterministic", "curious"])
+def test_a_flag_is_true_or_false(run_of, tmp_path, name):
+    with pytest.raises(TypeError, match=f"`{name}` must be True or False, got 'no'"):
+        dc.load(run_of()).predict(OBSERVATIONS, **{name: "no"})
+    with pytest.raises(TypeError, match="`curious` must be True or False, got 'no'"):
+        dc.export(run_of(), tmp_path / "policy.pt2", curious="no")
 
 
 def test_stable_baselines3_evaluates_it(run_of):

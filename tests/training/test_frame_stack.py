@@ -127,6 +127,14 @@ def test_the_space_keeps_the_precision_of_the_observation():
     env.close()
 
 
+def test_what_is_no_vector_is_rejected():
+    class Named(Counter):
+        observation_space = spaces.Dict({"count": Counter.observation_space})
+
+    with pytest.raises(ValueError, match=r"`env` must have boxes of vectors .*, got Dict"):
+        FrameStack(Named(), 2)
+
+
 def test_a_stack_without_an_observation_is_rejected():
     with pytest.raises(ValueError, match="`num_frames` must be at least 1, got 0"):
         FrameStack(Counter(), 0)

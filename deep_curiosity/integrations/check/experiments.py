@@ -264,11 +264,12 @@ def _saved(agent: Integration, folder: Path) -> Path:
 
 
 def _distance(first: list[Tensor], second: list[Tensor]) -> float:
-    """Largest difference of two lists of parameters; NaN counts as none where both have it."""
-    return max(
-        (one - other).detach().nan_to_num().abs().max().item()
+    """Largest difference of two lists of parameters: none where both are NaN, else infinite."""
+    differences = [
+        (one - other).detach().masked_fill(one.isclose(other, 0, 0, equal_nan=True), 0.0)
         for one, other in zip(first, second, strict=True)
-    )
+    ]
+    return max(each.nan_to_num(nan=math.inf).abs().max().item() for each in differences)
 
 
 def _same(first: Tensor, second: Tensor) -> bool:

@@ -6,10 +6,20 @@ import pytest
 import torch
 
 from deep_curiosity.integrations.check import check_integration
+from deep_curiosity.integrations.check.experiments import _distance
 from deep_curiosity.integrations.trainer import LearnerIntegration
 from deep_curiosity.transitions import Transition
 
 QUESTIONS = ["finite", "not constant", "raw", "ends", "targets", "fresh", "actor", "state"]
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "distance"),
+    [(1.0, 3.0, 2.0), (np.nan, np.nan, 0.0), (np.nan, 1.0, np.inf), (np.inf, np.inf, 0.0)],
+)
+def test_a_number_beside_one_that_is_none_is_as_far_as_can_be(first, second, distance):
+    both = [[torch.tensor([0.0, value])] for value in (first, second)]
+    assert _distance(*both) == distance
 
 
 @pytest.fixture
