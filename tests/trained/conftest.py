@@ -28,7 +28,6 @@ class Slope(gymnasium.Env):
         reward = -float(np.abs(self.point[:2]).sum())
         return self.point.astype(np.float32), reward, False, False, {}
 
-
     def push(self, action):
         return action
 
