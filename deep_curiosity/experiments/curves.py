@@ -9,6 +9,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from matplotlib.figure import Figure
 
 from deep_curiosity.experiments.figures import draw_curve, estimate_curve, label_beside, plain
@@ -278,10 +279,11 @@ def known_tags(runs: Sequence[RunCurves], tags: Sequence[str]) -> list[str]:
 
 
 def _points(runs: Sequence[RunCurves], task: str, agent: str, tag: str) -> list[Row]:
-    """Every number that runs of an agent on a task logged under a tag.
+    """A number of each run of an agent on a task at every step at which one of them logged a tag.
 
-    A run that was stopped keeps its last one for as long as others go on: left out, the solved
-    ones would be missing first.
+    Between the steps that it logged itself a run has what lies on the line between them, or a step
+    that one run alone logged would show this one as the mean. A run that was stopped keeps its
+    last number for as long as others go on, or the solved ones would be missing first.
     """
     own = [run for run in runs if (run.task, run.agent) == (task, agent)]
     logged = [
@@ -289,11 +291,18 @@ def _points(runs: Sequence[RunCurves], task: str, agent: str, tag: str) -> list[
         for run in own
     ]
     steps = sorted({step for values in logged for step in values})
+    points = []
     for run, values in zip(own, logged, strict=True):
-        if run.was_stopped and values:
-            last = max(values)
-            values |= {step: values[last] for step in steps if step > last}
-    return [{"step": step, tag: values[step]} for values in logged for step in values]
+        if not values:
+            continue
+        at = sorted(values)
+        last = math.inf if run.was_stopped else at[-1]
+        there = [step for step in steps if at[0] <= step <= last]
+        drawn = np.interp(there, at, [values[step] for step in at])
+        points += [
+            {"step": step, tag: float(value)} for step, value in zip(there, drawn, strict=True)
+        ]
+    return points
 
 
 def _names(runs: Sequence[RunCurves], attribute: str) -> list[str]:

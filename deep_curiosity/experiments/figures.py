@@ -5,14 +5,15 @@ import textwrap
 from collections import defaultdict
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from deep_curiosity.experiments.statistics import Estimate, Groups, bootstrap
+from deep_curiosity.experiments.statistics import Estimate, bootstrap
 from deep_curiosity.experiments.study import Row, Study
-from deep_curiosity.experiments.tables import is_missing, one_for_each_run, select
+from deep_curiosity.experiments.tables import REACHED, is_missing, one_for_each_run, select
 
 PANELS_PER_ROW = 3
 LABEL_GAP = 0.06  # of the height of a panel, for a line of the labels beside the curves
@@ -118,37 +119,70 @@ def plot_columns(path: Path, study: Study, rows: Sequence[Row]) -> None:
     panels = figure.subplots(len(study.tasks), len(study.columns), squeeze=False)
     for line, task in zip(panels, study.tasks, strict=True):
         for axes, column in zip(line, study.columns, strict=True):
-            known = [row for row in rows if not is_missing(row[column])]
-            own = [row for row in known if row["task"] == task.name]
+            own = [row for row in rows if row["task"] == task.name]
             axes.set_title(plain(task.name), fontsize=10)
             _plot_column(axes, study, own, column)
     figure.savefig(path, dpi=120)
 
 
+class Measured(NamedTuple):
+    """What a panel shows of an agent."""
+
+    agent: str | float
+    label: str
+    values: list[float]
+    """Of all rows, dots."""
+    estimate: Estimate
+
+
 def _plot_column(axes: Axes, study: Study, own: Sequence[Row], column: str) -> None:
     """Agents beneath each other where they have names, along an axis where they are numbers."""
-    agents = [agent for agent in study.agents if select(own, column, **{study.label: agent})]
-    values = [select(own, column, **{study.label: agent}) for agent in agents]
-    counted = one_for_each_run(study, own)
-    estimates = [bootstrap([select(counted, column, **{study.label: agent})]) for agent in agents]
+    measured = [
+        _measure(agent, column, runs, one_for_each_run(study, runs))
+        for agent in study.agents
+        for runs in [[row for row in own if row[study.label] == agent]]
+        if any(not is_missing(row[column]) for row in runs)
+    ]
     title = plain(column.replace("_", " "))
     if _is_named(study):
-        _plot_intervals(axes, estimates, values)
-        axes.set_yticks(range(len(agents)), [plain(str(agent)) for agent in agents])
+        _plot_intervals(axes, measured)
+        axes.set_yticks(range(len(measured)), [plain(each.label) for each in measured])
         axes.invert_yaxis()
         axes.set_xlabel(title)
         return
-    for agent, runs in zip(agents, values, strict=True):
-        axes.plot([agent] * len(runs), runs, ".", color="grey", alpha=0.6)
-    if estimates:
-        value, low, high = np.array(estimates).T
+    measured.sort()  # by the agent, a number
+    for each in measured:
+        axes.plot([each.agent] * len(each.values), each.values, ".", color="grey", alpha=0.6)
+    if measured:
+        value, low, high = np.array([each.estimate for each in measured]).T
+        agents = [each.agent for each in measured]
         axes.plot(agents, value, "o-")
         axes.fill_between(agents, low, high, alpha=0.15, linewidth=0)
     axes.set(xlabel=plain(study.label), ylabel=title)
 
 
-def _plot_intervals(axes: Axes, estimates: Sequence[Estimate], values: Groups) -> None:
-    for place, (estimate, runs) in enumerate(zip(estimates, values, strict=True)):
+def _measure(
+    agent: str | float, column: str, rows: Sequence[Row], runs: Sequence[Row]
+) -> Measured:
+    """What there is of an agent: its rows, of which a run may have several, and one of each run.
+
+    Of what some runs never reach, those that do have no mean: an agent that seldom does would
+    have the best one.
+    """
+    values = [row[column] for row in rows if not is_missing(row[column])]
+    known = [row[column] for row in runs if not is_missing(row[column])]
+    is_complete = len(known) == len(runs)
+    has_mean = is_complete or column not in REACHED
+    return Measured(
+        agent,
+        f"{agent}" if is_complete else f"{agent}, {len(known)} of {len(runs)}",
+        values,
+        bootstrap([known]) if has_mean else Estimate(math.nan, math.nan, math.nan),
+    )
+
+
+def _plot_intervals(axes: Axes, measured: Sequence[Measured]) -> None:
+    for place, (_, _, runs, estimate) in enumerate(measured):
         axes.plot(runs, [place] * len(runs), ".", color="grey", alpha=0.6)
         axes.hlines(place, estimate.low, estimate.high, color="C0", linewidth=3, alpha=0.5)
         axes.plot(estimate.value, place, "o", color="C0")

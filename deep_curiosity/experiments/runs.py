@@ -59,7 +59,7 @@ def run_own(cell: "Cell") -> "Result":
     check_progress(config, summary)
     curve = [
         {"step": step, "evaluation_return": value}
-        for step, value in read_evaluations(config.run.out)
+        for step, value in scheduled_evaluations(config, last=summary["total_steps"])
     ]
     versions = summary["versions"]
     origin = {
@@ -263,6 +263,18 @@ def read_evaluations(folder: Path) -> list[tuple[int, float]]:
     return [(step, value) for step, value in rows if math.isfinite(value)]
 
 
+def scheduled_evaluations(config: Config, *, last: int = -1) -> list[tuple[int, float]]:
+    """Those that every run of the same settings has, and one of the last step.
+
+    A run that was shorter once has one of its end of then, as no other seed has.
+    """
+    return [
+        (step, value)
+        for step, value in read_evaluations(config.run.out)
+        if step % config.run.evaluation_interval < config.environment.num_envs or step == last
+    ]
+
+
 def _read_rows(folder: Path) -> list[dict[str, str]]:
     """Rows of progress.csv whose steps are whole numbers."""
     rows = read_progress(folder)
@@ -296,11 +308,7 @@ def measure_run_and_area(config: Config, summary: "Row") -> list["Row"]:
 
 def _area(config: Config) -> float | None:
     """`None` where no scheduled evaluation has a return."""
-    evaluations = [
-        value
-        for step, value in read_evaluations(config.run.out)
-        if step % config.run.evaluation_interval < config.environment.num_envs
-    ]
+    evaluations = [value for _, value in scheduled_evaluations(config)]
     return sum(evaluations) / len(evaluations) if evaluations else None
 
 

@@ -79,7 +79,8 @@ def probability_of_improvement(first: Groups, second: Groups, *, seed: int = 0) 
     values, resampled = [], []
     for one, other in zip(first, second, strict=True):
         ours, theirs = np.asarray([one, other], dtype=float)  # truth values, too
-        wins = np.sign(np.subtract.outer(ours, theirs)) / 2 + 0.5  # runs runs
+        # runs runs; without a difference, which of two infinities is none
+        wins = np.greater.outer(ours, theirs) + 0.5 * np.equal.outer(ours, theirs)
         drawn, against = (_resampled_counts(random, len(wins)) for _ in range(2))
         resampled.append(((drawn @ wins) * against).sum(1) / wins.size)
         values.append(wins.mean())
@@ -123,5 +124,9 @@ def _check_groups(groups: Groups) -> None:
 
 
 def _interval(resampled: np.ndarray) -> tuple[float, float]:
-    low, high = np.quantile(resampled, [(1 - LEVEL) / 2, (1 + LEVEL) / 2])
+    ends = [(1 - LEVEL) / 2, (1 + LEVEL) / 2]
+    if np.isfinite(resampled).all():
+        low, high = np.quantile(resampled, ends)
+    else:  # nothing lies between a number and infinity
+        low, high = np.quantile(resampled, ends, method="nearest")
     return float(low), float(high)

@@ -13,6 +13,9 @@ from deep_curiosity.experiments.statistics import Groups, bootstrap, rank_correl
 from deep_curiosity.experiments.study import Row, Study
 from deep_curiosity.training.log import write_text
 
+REACHED = ("first_success_step", "solved_step")
+"""Columns of a step that a run reaches or never does, and is the better the sooner."""
+
 
 def write_table(
     path: Path, rows: Sequence[Mapping[str, Any]], columns: Iterable[str] = ()
@@ -165,7 +168,7 @@ def summarize(study: Study, rows: Sequence[Row]) -> str:
     never = {
         column
         for column in study.columns
-        if column.endswith("step") and any(_is_never(row, column) for row in rows)
+        if column in REACHED and any(_is_never(row, column) for row in rows)
     }
     titles = [
         f"{column.replace('_', ' ')}{', median and range' if column in never else ''}"
@@ -215,10 +218,15 @@ def _estimate(values: Sequence[float | None]) -> str:
 
 
 def counted_estimate(known: Groups, num_runs: int) -> str:
-    """Interquartile mean with its interval, and of how many runs, where some have no value."""
+    """Interquartile mean with its interval, and of how many runs, where some have no value.
+
+    One run of each task has no interval: nothing tells how far another would be from it.
+    """
     num_known = sum(map(len, known))
     counted = f", {num_known} of {num_runs} runs" if num_known < num_runs else ""
-    return f"{bootstrap(known)}{counted}"
+    estimate = bootstrap(known)
+    is_alone = all(len(runs) == 1 for runs in known)
+    return f"{f'{estimate.value:.4g}' if is_alone else estimate}{counted}"
 
 
 def _rank_correlations(study: Study, rows: Sequence[Row]) -> list[str]:

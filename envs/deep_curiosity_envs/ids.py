@@ -24,9 +24,12 @@ def registered_id(env_id: str) -> str:
     """Id by which gymnasium knows a task of this package or another.
 
     Raises:
-        ValueError: If it knows none of this name, or the module of `module:Task-v0` is missing.
+        ValueError: If it is no text, it knows none of this name, or the module of
+            `module:Task-v0` is missing.
         ImportError: If a task is wanted without its extra.
     """
+    if not isinstance(env_id, str):
+        raise ValueError(f"`env_id` must be text, the name of a task, got {env_id!r}.")
     module, _, name = env_id.rpartition(":")
     if module:
         _import_tasks(module, env_id)

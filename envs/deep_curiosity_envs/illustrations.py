@@ -7,6 +7,8 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 
+from deep_curiosity_envs.checks import finite_action
+
 
 class TwoStates(gym.Env[np.ndarray, np.ndarray], ABC):
     """Two states, observed as 0 and 1, between which an action in [0, 1] may flip.
@@ -38,8 +40,14 @@ class TwoStates(gym.Env[np.ndarray, np.ndarray], ABC):
         return self.get_observation(), {}
 
     def step(self, action: np.ndarray) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-        """Flips the state or not; actions outside [0, 1] are clipped."""
-        flip = self.flip_probability(self.state, float(np.clip(action[0], 0, 1)))
+        """Flips the state or not; actions outside [0, 1] are clipped.
+
+        Raises:
+            ValueError: If the action holds no real numbers, has another shape than the action
+                space, or is not finite.
+        """
+        (chance,) = np.clip(finite_action(action, self.action_space), 0, 1)
+        flip = self.flip_probability(self.state, float(chance))
         if self.np_random.random() < flip:
             self.state = 1 - self.state
         return self.get_observation(), 0.0, False, False, {}

@@ -12,6 +12,7 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
+from deep_curiosity_envs.checks import check_action, check_action_cost
 from deep_curiosity_envs.clock import clock_stopped
 from deep_curiosity_envs.rewards import SuccessStreak
 
@@ -47,8 +48,8 @@ class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
         render_mode: `"rgb_array"`, or None for a task that is never rendered.
 
     Raises:
-        ValueError: If the action cost is negative or not finite, the render mode is unknown, or
-            the control step is not a whole multiple of the model's physics step.
+        ValueError: If the action cost is no finite number or negative, the render mode is unknown,
+            or the control step is not a whole multiple of the model's physics step.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (Gymnasium declares it on the instance)
@@ -66,13 +67,11 @@ class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
         action_cost: float = 0.0,
         render_mode: str | None = None,
     ) -> None:
-        if not 0.0 <= action_cost < math.inf:
-            raise ValueError(f"`action_cost` must be finite and not negative, got {action_cost}.")
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f'`render_mode` must be None or "rgb_array", got {render_mode!r}.')
+        self.action_cost, self.render_mode = check_action_cost(action_cost), render_mode
         self.model, self.data = model, mujoco.MjData(model)
         self._look_at_data()
-        self.action_cost, self.render_mode = action_cost, render_mode
         bound = np.asarray(observation_bound, dtype=np.float32)
         self.observation_space = gymnasium.spaces.Box(-bound, bound, dtype=np.float32)
         self.action_space = gymnasium.spaces.Box(-1.0, 1.0, (model.nu,), dtype=np.float32)
@@ -180,9 +179,10 @@ class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
         """Hold the action for one control step.
 
         Raises:
-            ValueError: If the action has another shape than the action space, or is not finite.
+            ValueError: If the action holds no real numbers, has another shape than the action
+                space, or is not finite.
         """
-        control = check_action(action, (self.model.nu,))
+        control = check_action(action, self.action_space)
         self.data.ctrl[:] = control
         with clock_stopped():
             mujoco.mj_step(self.model, self.data, self.num_physics_steps)
@@ -208,31 +208,6 @@ class MujocoTask(gymnasium.Env[Array32, Array32], abc.ABC):
         if self._renderer is not None:
             self._renderer.close()
             self._renderer = None
-
-
-def check_action(action: Array, shape: tuple[int, ...]) -> Array64:
-    """The action clipped to [-1, 1], in the precision of the simulator.
-
-    Raises:
-        ValueError: If it has another shape than `shape`, or is not finite.
-    """
-    control = np.asarray(action, dtype=np.float64)
-    if control.shape != shape:
-        raise ValueError(f"`action` must have shape {shape}, got shape {control.shape}.")
-    if not np.isfinite(control).all():
-        raise ValueError(f"`action` must be finite, got {action}.")
-    return np.minimum(np.maximum(control, -1.0), 1.0)
-
-
-def check_flag(name: str, value: Any) -> bool:
-    """An argument that is true or false.
-
-    Raises:
-        ValueError: If it is neither, as text is.
-    """
-    if not (isinstance(value, int | float | np.generic) and value in (0, 1)):
-        raise ValueError(f"`{name}` must be True or False, got {value!r}.")
-    return bool(value)
 
 
 def _as_scalars(info: dict[str, Array]) -> dict[str, Any]:

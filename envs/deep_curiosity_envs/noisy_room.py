@@ -7,7 +7,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from deep_curiosity_envs.mujoco_task import Array, Array64, check_flag, load_spec
+from deep_curiosity_envs.checks import check_flag
+from deep_curiosity_envs.mujoco_task import Array, Array64, load_spec
 from deep_curiosity_envs.point_room import CELL_SIZE, CELLS_PER_SIDE, HALF_ROOM, PointRoom
 from deep_curiosity_envs.vector import MujocoVectorEnv
 

@@ -8,7 +8,8 @@ import mujoco
 import numpy as np
 from numpy.typing import NDArray
 
-from deep_curiosity_envs.mujoco_task import Array, Array64, MujocoTask, check_flag, load_spec
+from deep_curiosity_envs.checks import check_flag
+from deep_curiosity_envs.mujoco_task import Array, Array64, MujocoTask, load_spec
 from deep_curiosity_envs.vector import MujocoVectorEnv
 
 # Seen from above: S is the start, G the goal, # a wall.

@@ -5,8 +5,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 from gymnasium.spaces import Box, Dict, Discrete, MultiBinary, MultiDiscrete, Space, Tuple
+from gymnasium.utils import RecordConstructorArgs
 from gymnasium.wrappers import FlattenObservation
 
+from deep_curiosity_envs.checks import check_action_cost, check_count, finite_action
 from deep_curiosity_envs.ids import registered_id
 
 Step = tuple[Any, float, bool, bool, dict[str, Any]]
@@ -14,18 +16,22 @@ Step = tuple[Any, float, bool, bool, dict[str, Any]]
 NOISE_STREAM = 1  # of a seed, apart from the stream that the task itself draws from
 
 
-class ActionCost(gymnasium.Wrapper):
+class ActionCost(gymnasium.Wrapper, RecordConstructorArgs):
     """A task whose actions cost reward, so that doing nothing is a local optimum.
 
     Args:
-        env_id: Name of the task, such as the trainer takes, whose actions are bounded.
+        env_id: Name of the task, such as the trainer takes, whose actions are vectors within
+            bounds.
         action_cost: Reward lost per step at full action: it counts the mean over dimensions of the
             squared action, in units of its bounds.
         render_mode: As for the task.
+        env: The task itself, as Gymnasium gives it where it makes a variant anew from its spec;
+            the arguments that make one are then left alone.
         **env_kwargs: Further arguments of the task.
 
     Raises:
-        ValueError: If the cost is negative, there is no such task, or its actions have no bounds.
+        ValueError: If the cost is no finite number or negative, there is no such task, or its
+            actions are no vectors with room between their bounds.
         ImportError: If the task is one of another package that is missing.
     """
 
@@ -34,25 +40,30 @@ class ActionCost(gymnasium.Wrapper):
         env_id: str = "MountainCarContinuous-v0",
         action_cost: float = 0.1,
         render_mode: str | None = None,
+        *,
+        env: gymnasium.Env | None = None,
         **env_kwargs: Any,
     ) -> None:
-        if not 0 <= action_cost < np.inf:
-            raise ValueError(
-                f"`action_cost` must be finite and not be negative, got {action_cost}."
-            )
-        super().__init__(_make(env_id, render_mode, env_kwargs))
-        self.action_cost = float(action_cost)
+        self.action_cost = check_action_cost(action_cost)
+        RecordConstructorArgs.__init__(self, action_cost=self.action_cost)
+        gymnasium.Wrapper.__init__(self, _make(env_id, render_mode, env_kwargs, env))
         self._middle, self._half_range = _middle_and_half_range(self.env.action_space)
 
     def step(self, action: Any) -> Step:
-        """Take a step and charge it."""
+        """Take a step and charge it.
+
+        Raises:
+            ValueError: If the action holds no real numbers, has another shape than the action
+                space, or is not finite.
+        """
+        checked = finite_action(action, self.action_space)
         observation, reward, terminated, truncated, info = self.env.step(action)
-        unit = (np.asarray(action, float) - self._middle) / self._half_range
+        unit = (checked - self._middle) / self._half_range
         cost = self.action_cost * float(np.mean(np.clip(unit, -1, 1) ** 2))
         return observation, float(reward) - cost, terminated, truncated, info
 
 
-class NoiseSwitch(gymnasium.Wrapper):
+class NoiseSwitch(gymnasium.Wrapper, RecordConstructorArgs):
     """A task with a television: one more action switches noise on, in channels that say nothing.
 
     The channels are zero, but independent and uniform in [-1, 1) at every step whose last action
@@ -64,14 +75,17 @@ class NoiseSwitch(gymnasium.Wrapper):
 
     Args:
         env_id: Name of the task, such as the trainer takes, whose observations are vectors, and
-            actions real numbers within bounds.
+            actions vectors of real numbers within bounds.
         num_channels: How many there are.
         render_mode: As for the task.
+        env: The task itself, as Gymnasium gives it where it makes a variant anew from its spec;
+            the arguments that make one are then left alone.
         **env_kwargs: Further arguments of the task.
 
     Raises:
-        ValueError: If there is no channel, there is no such task, its observations are no
-            vectors, or its actions have no bounds or are whole numbers.
+        ValueError: If there is no whole number of channels, there is no such task, its
+            observations are no vectors, or its actions are no vectors with room between their
+            bounds, or whole numbers.
         ImportError: If the task is one of another package that is missing.
     """
 
@@ -80,17 +94,18 @@ class NoiseSwitch(gymnasium.Wrapper):
         env_id: str = "MountainCarContinuous-v0",
         num_channels: int = 2,
         render_mode: str | None = None,
+        *,
+        env: gymnasium.Env | None = None,
         **env_kwargs: Any,
     ) -> None:
-        if num_channels < 1:
-            raise ValueError(f"`num_channels` must be at least 1, got {num_channels}.")
-        super().__init__(_flattened(_make(env_id, render_mode, env_kwargs)))
+        self.num_channels = check_count("num_channels", num_channels)
+        RecordConstructorArgs.__init__(self, num_channels=self.num_channels)
+        gymnasium.Wrapper.__init__(self, _flattened(_make(env_id, render_mode, env_kwargs, env)))
         own, actions = self.env.observation_space, self.env.action_space
         _middle_and_half_range(actions)
         if not np.issubdtype(actions.dtype, np.floating):
             raise ValueError(f"`env_id` must have actions of real numbers, got {actions}.")
-        self.num_channels = num_channels
-        self.observation_space = _extended(own, num_channels)
+        self.observation_space = _extended(own, self.num_channels)
         self.action_space = _extended(actions, 1)
         self._generator = np.random.default_rng()
 
@@ -105,7 +120,13 @@ class NoiseSwitch(gymnasium.Wrapper):
         return self._with_channels(observation, noisy=False), info | {"noisy": False}
 
     def step(self, action: Any) -> Step:
-        """Take a step, and set the channels by the last action."""
+        """Take a step, and set the channels by the last action.
+
+        Raises:
+            ValueError: If the action holds no real numbers, has another shape than the action
+                space, or is not finite.
+        """
+        finite_action(action, self.action_space)
         observation, reward, terminated, truncated, info = self.env.step(action[:-1])
         noisy = bool(action[-1] > 0)
         shown = self._with_channels(observation, noisy=noisy)
@@ -116,8 +137,12 @@ class NoiseSwitch(gymnasium.Wrapper):
         return np.concatenate([observation, channels]).astype(self.observation_space.dtype)
 
 
-def _make(env_id: str, render_mode: str | None, env_kwargs: dict[str, Any]) -> gymnasium.Env:
-    """The task; one that has no render mode is asked for none."""
+def _make(
+    env_id: str, render_mode: str | None, env_kwargs: dict[str, Any], env: gymnasium.Env | None
+) -> gymnasium.Env:
+    """The task, where it is not given; one that has no render mode is asked for none."""
+    if env is not None:
+        return env
     if render_mode is not None:
         env_kwargs = env_kwargs | {"render_mode": render_mode}
     return gymnasium.make(registered_id(env_id), **env_kwargs)
@@ -159,8 +184,21 @@ def _extended(space: Space, num_entries: int) -> Box:
 
 
 def _middle_and_half_range(space: Space) -> tuple[np.ndarray, np.ndarray]:
-    """Centre and half width of the actions in every dimension."""
-    if not (isinstance(space, Box) and space.is_bounded()):
-        raise ValueError(f"`env_id` must have actions in a bounded box, got {space}.")
+    """Centre and half width of the actions in every dimension.
+
+    Raises:
+        ValueError: If they are no vectors with room between their bounds.
+    """
+    if not (
+        isinstance(space, Box)
+        and space.is_bounded()
+        and len(space.shape) == 1
+        and space.shape[0] > 0
+        and (space.low < space.high).all()
+    ):
+        raise ValueError(
+            "`env_id` must have actions in a bounded box that is flat, not empty and has low < "
+            f"high everywhere, got {space}."
+        )
     low, high = space.low.astype(float), space.high.astype(float)
     return (low + high) / 2, (high - low) / 2

@@ -5,15 +5,18 @@ from typing import Any
 
 import mujoco
 import numpy as np
+from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from mujoco.rollout import Rollout
 
+from deep_curiosity_envs.checks import check_action, check_count
 from deep_curiosity_envs.clock import clock_stopped
-from deep_curiosity_envs.mujoco_task import Array, Array32, Array64, MujocoTask, check_action
+from deep_curiosity_envs.mujoco_task import Array, Array32, Array64, MujocoTask
 
 STATE = mujoco.mjtState.mjSTATE_FULLPHYSICS  # the input and output of `mujoco.rollout`
 CONTROL = mujoco.mjtState.mjSTATE_CTRL | mujoco.mjtState.mjSTATE_MOCAP_POS
+AUTORESET_MODES = (AutoresetMode.SAME_STEP, AutoresetMode.DISABLED)
 
 
 class MujocoVectorEnv(VectorEnv[Array32, Array32, Array]):
@@ -29,15 +32,18 @@ class MujocoVectorEnv(VectorEnv[Array32, Array32, Array]):
     in `infos["final_obs"]` and `infos["final_info"]`; or, with autoreset disabled, when
     requested by `reset(options={"reset_mask": mask})`.
 
+    A copy, deep or by pickle, goes on as the environment itself would.
+
     Args:
         task: Class of the task, or another callable that makes one.
         num_envs: Number of environments.
         max_episode_steps: Control steps after which an episode is truncated; None for never.
-        autoreset_mode: Same-step or disabled.
+        autoreset_mode: Same-step or disabled, as Gymnasium has it or in its words.
         **env_kwargs: Arguments of the task.
 
     Raises:
-        ValueError: If `num_envs` or the length is not positive, or the mode is next-step.
+        ValueError: If `num_envs` or the length is no whole number of at least one, or the mode is
+            another.
     """
 
     def __init__(
@@ -49,31 +55,26 @@ class MujocoVectorEnv(VectorEnv[Array32, Array32, Array]):
         autoreset_mode: AutoresetMode | str = AutoresetMode.SAME_STEP,
         **env_kwargs: Any,
     ) -> None:
-        if num_envs < 1:
-            raise ValueError(f"`num_envs` must be at least 1, got {num_envs}.")
-        if max_episode_steps is not None and max_episode_steps < 1:
-            raise ValueError(f"`max_episode_steps` must be at least 1, got {max_episode_steps}.")
-        self._autoreset_mode = AutoresetMode(autoreset_mode)
-        if self._autoreset_mode is AutoresetMode.NEXT_STEP:
-            raise ValueError(
-                f"`autoreset_mode` must be same-step or disabled, got {autoreset_mode}."
-            )
+        self.num_envs = num_envs = check_count("num_envs", num_envs)
+        self._max_episode_steps: float = np.inf
+        if max_episode_steps is not None:
+            self._max_episode_steps = check_count("max_episode_steps", max_episode_steps)
+        self._autoreset_mode = _find_autoreset_mode(autoreset_mode)
         self._task = task(**env_kwargs)
-        self.num_envs = num_envs
         self.metadata = {**self._task.metadata, "autoreset_mode": self._autoreset_mode}
         self.single_observation_space = self._task.observation_space
         self.single_action_space = self._task.action_space
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
-        self._max_episode_steps = np.inf if max_episode_steps is None else max_episode_steps
         self._generators = [np.random.default_rng() for _ in range(num_envs)]
         self._all_envs = np.ones(num_envs, dtype=bool)
+        self._has_begun = np.zeros(num_envs, dtype=bool)
         self._elapsed = np.zeros(num_envs, dtype=int)
-        self._rollout = Rollout(nthread=0)
         self._allocate()
+        self._look_at_arrays()
 
     def _allocate(self) -> None:
-        """Allocate the arrays that MuJoCo reads and writes, and the batched view of the task."""
+        """Allocate the arrays that MuJoCo reads and writes."""
         model, num_steps = self._task.model, self._task.num_physics_steps
         state_dim = mujoco.mj_stateSize(model, STATE)
         control_dim = mujoco.mj_stateSize(model, CONTROL)
@@ -82,12 +83,28 @@ class MujocoVectorEnv(VectorEnv[Array32, Array32, Array]):
         self._states = np.zeros((self.num_envs, num_steps, state_dim))
         self._control = np.zeros((self.num_envs, num_steps, control_dim))  # ctrl, mocap_pos
         self._userdata = np.zeros((self.num_envs, model.nuserdata))  # MuJoCo does not change it
+
+    def _look_at_arrays(self) -> None:
+        """Let MuJoCo and the batched view of the task use the arrays of this object."""
+        model = self._task.model
+        self._rollout = Rollout(nthread=0)
         self._batched_task = self._task.batched_view(
             self._state[:, 1 : 1 + model.nq],
             self._state[:, 1 + model.nq : 1 + model.nq + model.nv],
             self._control[:, 0, model.nu :].reshape(self.num_envs, model.nmocap, 3),
             self._userdata,
         )
+
+    def __getstate__(self) -> dict[str, Any]:
+        state = self.__dict__ | {"success_streak": self._batched_task.success_streak}
+        del state["_rollout"], state["_batched_task"]  # which a copy makes anew
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        success_streak = state.pop("success_streak")
+        self.__dict__.update(state)
+        self._look_at_arrays()
+        self._batched_task.success_streak = success_streak
 
     def reset(
         self,
@@ -112,6 +129,7 @@ class MujocoVectorEnv(VectorEnv[Array32, Array32, Array]):
         for index in np.flatnonzero(mask).tolist():
             self._begin_episode(index, seed[index])
         self._batched_task.success_streak.reset(mask)
+        self._has_begun |= mask
         self._elapsed[mask] = 0
         return self._batched_task.observe(), _masked(self._batched_task.get_info(), mask)
 
@@ -119,9 +137,16 @@ class MujocoVectorEnv(VectorEnv[Array32, Array32, Array]):
         """Hold the actions for one control step.
 
         Raises:
-            ValueError: If the actions have another shape than the space, or are not finite.
+            ResetNeeded: If an environment has never been reset.
+            ValueError: If the actions hold no real numbers, have another shape than the space, or
+                are not finite.
         """
-        control = check_action(actions, (self.num_envs, self._task.model.nu))
+        if not self._has_begun.all():
+            waiting = np.flatnonzero(~self._has_begun).tolist()
+            raise ResetNeeded(
+                f"`reset` must come before `step`, got none in environments {waiting}."
+            )
+        control = check_action(actions, self.action_space)
         self._simulate(control)
         self._elapsed += 1
         observation, reward, terminated, info = self._batched_task._finish_step(control)
@@ -163,6 +188,14 @@ class MujocoVectorEnv(VectorEnv[Array32, Array32, Array]):
         mujoco.mj_getState(task.model, task.data, self._state[index], STATE)
         self._control[index, :, task.model.nu :] = task.mocap_pos.ravel()
         self._userdata[index] = task.userdata
+
+
+def _find_autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
+    for known in AUTORESET_MODES:
+        if mode in (known, known.value):
+            return known
+    words = " or ".join(repr(known.value) for known in AUTORESET_MODES)
+    raise ValueError(f"`autoreset_mode` must be {words}, got {mode!r}.")
 
 
 def _masked(info: dict[str, Array], mask: Array) -> dict[str, Array]:

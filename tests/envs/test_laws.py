@@ -206,10 +206,11 @@ def test_action_cost_is_the_mean_square_of_the_clipped_action(task_id):
     assert free.step(action)[1] - costly.step(action)[1] == pytest.approx(expected_cost)
 
 
-@pytest.mark.parametrize("action_cost", [-0.1, math.nan, math.inf])
+@pytest.mark.parametrize("action_cost", [-0.1, math.nan, math.inf, "0.1", None, [0.1]])
 def test_bad_action_cost_is_rejected(task_id, action_cost):
-    with pytest.raises(ValueError, match=f"`action_cost` must be finite.*got {action_cost}"):
+    with pytest.raises(ValueError, match="`action_cost` must be a finite number and not") as error:
         make(task_id, action_cost=action_cost)
+    assert str(error.value).endswith(f"got {action_cost!r}.")
 
 
 def test_action_of_another_shape_is_rejected(task_id):
@@ -225,6 +226,14 @@ def test_action_that_is_not_finite_is_rejected(task_id, value):
     env.reset(seed=0)
     with pytest.raises(ValueError, match=rf"`action` must be finite, got \[.*{value}"):
         env.step(np.full(env.action_space.shape, value, np.float32))
+
+
+@pytest.mark.parametrize("value", ["0.5", 0.5j, None], ids=repr)
+def test_action_that_holds_no_real_numbers_is_rejected(task_id, value):
+    env = make(task_id)
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="`action` must hold real numbers, got "):
+        env.step(np.full(env.action_space.shape, value))
 
 
 def test_every_element_has_a_name(task_id):

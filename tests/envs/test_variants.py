@@ -1,6 +1,7 @@
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env
 
 import deep_curiosity_envs
 from deep_curiosity.training import Config, train
@@ -26,7 +27,24 @@ class WholeActions(gymnasium.Env):
     observation_space = gymnasium.spaces.Box(-1.0, 1.0, (1,))
 
 
-for task in (Images, WholeActions):
+class Named(gymnasium.Env):
+    """Shows two vectors by name; it is never drawn."""
+
+    action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,))
+    observation_space = gymnasium.spaces.Dict(speed=action_space, place=action_space)
+
+
+class Boxed(gymnasium.Env):
+    """Takes actions of any box."""
+
+    observation_space = gymnasium.spaces.Box(-1.0, 1.0, (1,))
+
+    def __init__(self, low, high):
+        low, high = np.array(low, np.float32), np.array(high, np.float32)
+        self.action_space = gymnasium.spaces.Box(low, high, low.shape)
+
+
+for task in (Images, WholeActions, Named, Boxed):
     gymnasium.register(f"variants/{task.__name__}-v0", task)
 
 
@@ -47,10 +65,48 @@ def test_actions_cost_their_square_in_units_of_their_bounds(torque, cost):
     assert reward == pytest.approx(free_reward - cost)
 
 
-@pytest.mark.parametrize("cost", [-0.1, float("nan"), float("inf")])
+@pytest.mark.parametrize("cost", [-0.1, float("nan"), "0.1", None, [0.1]], ids=repr)
 def test_a_cost_that_cannot_be_is_refused(cost):
-    with pytest.raises(ValueError, match="`action_cost` must be finite and not be negative, got"):
+    with pytest.raises(ValueError, match="`action_cost` must be a finite number and not") as error:
         ActionCost(action_cost=cost)
+    assert str(error.value).endswith(f"got {cost!r}.")
+
+
+@pytest.mark.parametrize("number", ["2", 2.5, True, 0], ids=repr)
+def test_a_number_of_channels_that_cannot_be_is_refused(number):
+    with pytest.raises(
+        ValueError, match="`num_channels` must be a whole number of at least"
+    ) as error:
+        NoiseSwitch(num_channels=number)
+    assert str(error.value).endswith(f"got {number!r}.")
+
+
+@pytest.mark.parametrize(("variant", "num_entries"), [(ActionCost, 1), (NoiseSwitch, 2)])
+def test_what_is_no_action_is_refused_before_the_task_sees_it(variant, num_entries):
+    env = variant(PENDULUM)
+    start = env.reset(seed=0)[0]
+    shape = rf"`action` must have shape \({num_entries},\), got shape "
+    for wrong in (num_entries - 1, num_entries + 1):
+        with pytest.raises(ValueError, match=shape):
+            env.step(np.zeros(wrong, np.float32))
+    for value, rule in ((np.nan, "be finite"), (np.inf, "be finite"), ("on", "hold real numbers")):
+        action = [*[0.0] * (num_entries - 1), value]
+        with pytest.raises(ValueError, match=f"`action` must {rule}, got "):
+            env.step(np.array(action))
+    assert np.array_equal(env.unwrapped._get_obs(), start[:3])
+
+
+@pytest.mark.parametrize("variant", [ActionCost, NoiseSwitch])
+@pytest.mark.filterwarnings("ignore:.*maximum and minimum values are equal")
+@pytest.mark.parametrize(
+    ("low", "high"),
+    [([[-1, -1], [-1, -1]], [[1, 1], [1, 1]]), ([-1, 0], [1, 0]), (-1, 1), ([], [])],
+    ids=str,
+)
+def test_boxes_of_actions_that_are_no_vectors_with_room_are_refused(variant, low, high):
+    rule = "`env_id` must have actions in a bounded box that is flat, not empty and has low < high"
+    with pytest.raises(ValueError, match=rf"{rule} everywhere, got Box\("):
+        variant("variants/Boxed-v0", low=low, high=high)
 
 
 def test_channels_flicker_where_the_last_action_is_positive_and_nowhere_else():
@@ -99,9 +155,8 @@ def test_noise_says_nothing_of_what_the_task_draws():
 @pytest.mark.parametrize(
     ("make", "rule"),
     [
-        (lambda: NoiseSwitch("CartPole-v1"), "`env_id` must have actions in a bounded box, got"),
-        (lambda: ActionCost("CartPole-v1"), "`env_id` must have actions in a bounded box, got"),
-        (lambda: NoiseSwitch(num_channels=0), "`num_channels` must be at least 1, got 0"),
+        (lambda: NoiseSwitch("CartPole-v1"), "`env_id` must have actions in a bounded box that"),
+        (lambda: ActionCost("CartPole-v1"), "`env_id` must have actions in a bounded box that"),
         (
             lambda: NoiseSwitch("FrozenLake-v1"),
             "`env_id` must have observations of one flat array",
@@ -178,6 +233,50 @@ def test_what_is_wrong_with_a_name_is_told_of_the_name(variant):
         variant("Pendulum-v2")
     with pytest.raises(ValueError, match=r"`env_id` must name a module .* 'nowhere:Task-v0'"):
         variant("nowhere:Task-v0")
+    with pytest.raises(ValueError, match="`env_id` must be text, the name of a task, got 3"):
+        variant(3)
+
+
+def layers(env):
+    """Names of the wrappers around a task, from the outermost."""
+    return [env.class_name(), *layers(env.env)] if isinstance(env, gymnasium.Wrapper) else []
+
+
+@pytest.mark.parametrize("variant_id", deep_curiosity_envs.VARIANT_IDS)
+@pytest.mark.parametrize("by_id", [True, False])
+@pytest.mark.filterwarnings("ignore:.*is different from the unwrapped version")
+@pytest.mark.filterwarnings("ignore:.*we recommend using a symmetric and normalized space")
+def test_gymnasium_accepts_a_variant_and_makes_the_same_from_its_spec(variant_id, by_id):
+    variant = getattr(deep_curiosity_envs, variant_id.removeprefix("deep_curiosity/")[:-3])
+    setting = {"action_cost": 0.5} if variant is ActionCost else {"num_channels": 3}
+    kwargs = {"env_id": PENDULUM, **setting, "g": 5.0}
+    env = gymnasium.make(variant_id, **kwargs) if by_id else variant(**kwargs)
+    check_env(env, skip_render_check=True)
+    again = gymnasium.make(env.spec)
+    assert layers(again).count(variant.__name__) == layers(env).count(variant.__name__) == 1
+    assert (again.unwrapped.g, again.spec.max_episode_steps) == (5.0, 200)
+    action = np.full(env.action_space.shape, 0.5, np.float32)
+    for one in (env, again):
+        one.reset(seed=3)
+    outcomes = [env.step(action), again.step(action)]
+    assert np.array_equal(outcomes[0][0], outcomes[1][0])
+    assert outcomes[0][1:] == outcomes[1][1:]
+
+
+def test_a_switch_over_named_observations_is_made_again_from_its_spec():
+    env = NoiseSwitch("variants/Named-v0")
+    again = gymnasium.make(env.spec)
+    assert again.observation_space == env.observation_space
+    assert layers(again).count("FlattenObservation") == 1
+
+
+def test_variants_of_variants_are_made_again_from_their_spec():
+    env = NoiseSwitch("ActionCost", action_cost=0.25)
+    again = gymnasium.make(env.spec)
+    for variant in ("ActionCost", "NoiseSwitch"):
+        assert layers(again).count(variant) == layers(env).count(variant) == 1
+    assert again.action_space == env.action_space
+    assert again.get_wrapper_attr("action_cost") == 0.25
 
 
 @pytest.mark.parametrize("variant_id", deep_curiosity_envs.VARIANT_IDS)

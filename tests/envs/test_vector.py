@@ -1,9 +1,13 @@
 """A vector environment is its single environment, many times over."""
 
+import pickle
+from copy import deepcopy
+
 import gymnasium
 import mujoco
 import numpy as np
 import pytest
+from gymnasium.error import ResetNeeded
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from deep_curiosity_envs import TASK_IDS, MujocoVectorEnv, PendulumSwingup, PointMaze
@@ -41,19 +45,19 @@ def pushes(environment, num_steps=NUM_STEPS):
     return actions.astype(np.float32)
 
 
-def assert_same(one, other):
+def assert_same(one, other, tolerance=CONTACT_TOLERANCE):
     """Equal structure, kinds and values, but for what contact leaves open."""
     assert type(one) is type(other)
     if isinstance(one, dict):
         assert one.keys() == other.keys()
         for key in one:
-            assert_same(one[key], other[key])
+            assert_same(one[key], other[key], tolerance)
     elif one is not None and one.dtype == object:
         for row, other_row in zip(one, other, strict=True):
-            assert_same(row, other_row)
+            assert_same(row, other_row, tolerance)
     elif one is not None:
         assert one.dtype == other.dtype
-        np.testing.assert_allclose(one, other, rtol=0, atol=CONTACT_TOLERANCE)
+        np.testing.assert_allclose(one, other, rtol=0, atol=tolerance)
 
 
 def place_in_goal(environment, index):
@@ -166,6 +170,58 @@ def test_envs_do_not_touch_each_other(task_id):
         assert np.array_equal(many.step(action)[0][:2], few.step(action[:2])[0])
 
 
+@pytest.mark.parametrize("mode", ["SameStep", AutoresetMode.DISABLED], ids=str)
+def test_no_step_goes_before_the_reset_of_every_env(task_id, mode):
+    native = make(task_id, autoreset_mode=mode)
+    action = np.zeros(native.action_space.shape)
+    with pytest.raises(
+        ResetNeeded, match=r"`reset` must .*, got none in environments \[0, 1, 2, 3\]"
+    ):
+        native.step(action)
+    native.reset(seed=0, options={"reset_mask": np.array([True, False, False, True])})
+    with pytest.raises(ResetNeeded, match=r"`reset` must .*, got none in environments \[1, 2\]"):
+        native.step(action)
+    native.reset(seed=0, options={"reset_mask": np.array([False, True, True, False])})
+    native.step(action)
+    native.reset(seed=0, options={"reset_mask": np.array([True, False, False, False])})
+    native.step(action)
+
+
+@pytest.mark.parametrize("copied", [deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_copy_goes_on_as_the_env_would_and_leaves_it_alone(task_id, copied):
+    native = make(task_id, max_episode_steps=40)  # so that the next episodes are compared too
+    native.reset(seed=0)
+    actions = pushes(native, 100)
+    for action in actions[:30]:
+        native.step(action)
+    twin = copied(native)
+    courses = [[env.step(action) for action in actions[30:]] for env in (twin, native)]
+    for step, expected in zip(*courses, strict=True):
+        for one, other in zip(step, expected, strict=True):
+            assert_same(one, other, tolerance=0)
+    native.close()
+    twin.step(actions[0])
+    twin.close()
+
+
+def test_a_copy_remembers_success_and_how_long_it_has_lasted():
+    native = make("deep_curiosity/BatteryRover-v0")
+    native.reset(seed=0)
+    native._batched_task.success_streak.update(np.array([True, False, False, False]))
+    native._batched_task.success_streak.achieved[1] = True
+    twin = deepcopy(native)
+    for _ in range(4):
+        twin._batched_task.success_streak.update(np.array([True] * NUM_ENVS))
+    assert twin._batched_task.is_success().tolist() == [True, True, False, False]
+    assert native._batched_task.is_success().tolist() == [False, True, False, False]
+
+
+def test_a_copy_before_the_reset_waits_for_it():
+    twin = deepcopy(make("deep_curiosity/PendulumSwingup-v0"))
+    with pytest.raises(ResetNeeded):
+        twin.step(np.zeros((NUM_ENVS, 1)))
+
+
 def test_the_clock_of_mujoco_runs_on_for_others():
     native = make("deep_curiosity/PendulumSwingup-v0")
     native.reset(seed=0)
@@ -178,10 +234,24 @@ def test_the_clock_of_mujoco_runs_on_for_others():
 @pytest.mark.parametrize(
     ("kwargs", "message"),
     [
-        ({"num_envs": 0}, "`num_envs` must be at least 1, got 0"),
-        ({"max_episode_steps": 0}, "`max_episode_steps` must be at least 1, got 0"),
-        ({"autoreset_mode": "NextStep"}, "`autoreset_mode` must be same-step or disabled.*Next"),
-        ({"action_cost": -1.0}, "`action_cost` must be finite and not negative, got -1.0"),
+        ({"num_envs": 0}, "`num_envs` must be a whole number of at least 1, got 0"),
+        ({"num_envs": 1.5}, "`num_envs` must be a whole number of at least 1, got 1.5"),
+        ({"num_envs": "2"}, "`num_envs` must be a whole number of at least 1, got '2'"),
+        ({"max_episode_steps": 0}, "`max_episode_steps` must be a whole number of .*, got 0"),
+        ({"max_episode_steps": 1.5}, "`max_episode_steps` must be a whole number of .*, got 1.5"),
+        (
+            {"max_episode_steps": True},
+            "`max_episode_steps` must be a whole number of .*, got True",
+        ),
+        (
+            {"autoreset_mode": AutoresetMode.NEXT_STEP},
+            "`autoreset_mode` must be 'SameStep' or 'Disabled', got <AutoresetMode.NEXT_STEP",
+        ),
+        (
+            {"autoreset_mode": "foo"},
+            "`autoreset_mode` must be 'SameStep' or 'Disabled', got 'foo'",
+        ),
+        ({"action_cost": -1.0}, "`action_cost` must be a finite number and not negative, got -1"),
     ],
     ids=str,
 )
@@ -197,6 +267,11 @@ def test_bad_actions_seeds_and_masks_are_named(task_id):
         native.step(np.zeros(7))
     with pytest.raises(ValueError, match="`action` must be finite"):
         native.step(np.full(native.action_space.shape, np.nan))
+    with pytest.raises(ValueError, match=r"`action` must have shape \(4, .+\), got \[\[0.0\], "):
+        native.step([[0.0], *[[0.0, 0.0, 0.0]] * 3])
+    for value in ("0.5", 0.5j):
+        with pytest.raises(ValueError, match="`action` must hold real numbers, got "):
+            native.step(np.full(native.action_space.shape, value))
     with pytest.raises(ValueError, match="`seed` must have 4 entries, got 2"):
         native.reset(seed=[0, 1])
     with pytest.raises(ValueError, match=r"`reset_mask` must hold 4 booleans, got bool \(2,\)"):

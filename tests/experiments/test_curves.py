@@ -130,6 +130,19 @@ def test_where_a_run_has_no_row_the_others_are_averaged(folder):
     assert panel["agents"]["curiosity"]["value"][2] is None
 
 
+def test_where_one_run_alone_logged_the_others_are_on_the_line_between_their_own(tmp_path):
+    header = "step,eval/return\n"
+    for seed, rows in enumerate(["60,0.0\n100,0.0\n120,0.0", "60,40.0\n120,100.0"]):
+        config = Config.of(env_id="PointMaze", seed=seed)
+        write_run(tmp_path / f"{seed}", config, [])
+        (tmp_path / f"{seed}" / "progress.csv").write_text(f"{header}{rows}\n")
+    runs = read_runs(find_runs([tmp_path]))
+    panel = page_data(runs, ["eval/return"])["curves"]["PointMaze"]["eval/return"]
+    (agent,) = panel["agents"].values()
+    assert panel["steps"] == [60, 100, 120] and agent["value"] == [20.0, 40.0, 50.0]
+    assert agent["runs"][str(tmp_path / "1")] == [40.0, None, 100.0]
+
+
 def test_a_run_that_was_stopped_keeps_its_last_value_while_others_go_on(tmp_path):
     """Six of eight are stopped, solved; an agent that solves most must not end at nothing."""
     for seed in range(8):

@@ -1,3 +1,5 @@
+import math
+
 import pytest
 from matplotlib.figure import Figure
 
@@ -62,6 +64,27 @@ def test_values_of_a_sweep_stand_along_an_axis(saved, tmp_path, make_rows):
     means = axes.lines[-1]
     assert means.get_xdata().tolist() == [0.5, 2.0] and means.get_ydata().tolist() == [1.0, 2.5]
     assert axes.get_xlabel() == "hunger"
+
+
+def test_a_sweep_is_drawn_in_the_order_of_its_values(saved, tmp_path, make_rows):
+    study = Study(TASKS[:1], {1.0: {}, 0.1: {}, 10.0: {}}, label="hunger", columns=("coverage",))
+    plot_columns(tmp_path / "figure.png", study, make_rows(study, float))
+    means = saved[0].axes[0].lines[-1]
+    assert means.get_xdata().tolist() == [0.1, 1.0, 10.0]
+    assert means.get_ydata().tolist() == pytest.approx([0.6, 1.5, 10.5])
+
+
+def test_of_steps_that_some_run_never_reached_no_mean_of_the_others_is_drawn(
+    saved, tmp_path, make_rows
+):
+    study = Study(TASKS[:1], {"bold": {}, "shy": {}}, columns=("first_success_step",))
+    rows = make_rows(study, len)
+    rows[0]["first_success_step"] = None
+    plot_columns(tmp_path / "figure.png", study, rows)
+    (axes,) = saved[0].axes
+    assert [label.get_text() for label in axes.get_yticklabels()] == ["bold, 1 of 2", "shy"]
+    means = [line for line in axes.lines if line.get_marker() == "o"]
+    assert [line.get_xdata()[0] for line in means] == pytest.approx([math.nan, 3.5], nan_ok=True)
 
 
 @pytest.mark.parametrize("wanted", [[0.99, 0.99, 1.0], [0.0, 0.5, 0.5], [0.2, 0.98], [-0.1, 0.3]])

@@ -11,6 +11,7 @@ from deep_curiosity.experiments.runs import (
     run_foreign,
     run_once,
     run_own,
+    scheduled_evaluations,
 )
 from deep_curiosity.experiments.study import Cell, Study, Task
 from deep_curiosity.training import train
@@ -120,6 +121,14 @@ def test_a_run_of_the_same_settings_is_found_wherever_it_lies(tiny, tmp_path):
     wanted = there.override(out=tmp_path / "runs" / "here")
     assert finished[finished_key(wanted)] == there.run.out
     assert finished_key(wanted.override(seed=1)) not in finished
+
+
+def test_a_curve_has_what_every_seed_has_and_the_last_step(tiny, monkeypatch):
+    found = [(20, 1.0), (30, 2.0), (40, 3.0), (55, 4.0)]  # a run that ended at step 30 once
+    monkeypatch.setattr("deep_curiosity.experiments.runs.read_evaluations", lambda _: found)
+    config = tiny.override(evaluation_interval=20)
+    assert scheduled_evaluations(config, last=55) == [(20, 1.0), (40, 3.0), (55, 4.0)]
+    assert scheduled_evaluations(config) == [(20, 1.0), (40, 3.0)]
 
 
 def test_the_area_is_of_scheduled_evaluations_alone(tiny, monkeypatch):

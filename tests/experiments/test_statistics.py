@@ -121,3 +121,11 @@ def test_what_has_no_order_has_no_rank_correlation(values):
 def test_truth_values_are_compared_like_numbers():
     found = probability_of_improvement([[True, False]], [[False, False]])
     assert found.value == 0.75
+
+
+def test_what_was_never_reached_may_be_infinite():
+    values = [[3.0, 5.0, math.inf]]
+    assert probability_of_improvement(values, values).value == 0.5
+    assert not np.isnan(probability_of_improvement(values, values)).any()
+    low, high = bootstrap(values)[1:]
+    assert low == 3 and high == math.inf

@@ -166,10 +166,17 @@ def test_the_published_ranks_are_those_of_their_tables():
 def test_a_return_that_is_missing_is_counted_and_not_above_all_others(make_rows):
     rows = make_rows(NAMED, lambda name: 7.0)
     rows[0]["evaluation_return"] = None
-    assert "| maze | a | 1 of 2 | 8 [8, 8], 1 of 2 runs |" in summarize(NAMED, rows)
+    assert "| maze | a | 1 of 2 | 8, 1 of 2 runs |" in summarize(NAMED, rows)
     steps = replace(NAMED, columns=("first_success_step",))
     late = [row | {"first_success_step": row["evaluation_return"]} for row in rows]
     assert "| maze | a | 1 of 2 | never [8, never] |" in summarize(steps, late)
+
+
+def test_a_cost_of_each_step_is_no_step_that_is_reached(make_rows):
+    study = replace(NAMED, columns=("energy_per_step",))
+    rows = [row | {"energy_per_step": row["evaluation_return"]} for row in make_rows(NAMED, len)]
+    rows[0]["energy_per_step"] = None
+    assert "never" not in summarize(study, rows) and "1 of 2 runs" in summarize(study, rows)
 
 
 def test_a_table_that_cannot_be_written_leaves_the_one_before(tmp_path, monkeypatch):
@@ -210,9 +217,13 @@ def test_a_run_that_has_several_rows_counts_once():
 def test_an_agent_is_called_better_where_more_is_better(column, words):
     study = replace(NAMED, columns=(column,))
     rows = [
-        {"task": "maze", "agent": agent, "seed": 0, "solved": "", column: 1.0} for agent in "ab"
+        {"task": "maze", "agent": agent, "seed": seed, "solved": "", column: 1.0}
+        for agent in "ab"
+        for seed in (0, 1)
     ]
     assert f"| {words} |" in summary_of(study, rows)
+    alone = summary_of(study, [row for row in rows if row["seed"] == 0])
+    assert words not in alone and "[" not in alone  # one run says nothing of another
 
 
 def test_where_no_return_counts_as_solved_nothing_is_never_solved():
@@ -224,4 +235,4 @@ def test_where_no_return_counts_as_solved_nothing_is_never_solved():
     ]
     header, _, first, *_ = summarize(study, rows).splitlines()
     assert header == "| task | agent | runs solved | evaluation return | solved step |"
-    assert first == "| maze | a | - | 1 [1, 1] |  |"
+    assert first == "| maze | a | - | 1 |  |"
