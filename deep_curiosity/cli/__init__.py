@@ -47,12 +47,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: The name of the command and what it is given; those of the process when `None`.
 
     Returns:
-        Exit status: 0 where all went well, 1 where something that was tried failed, 130 or 143
-        where Ctrl-C or SIGTERM stopped a run, which is saved.
+        Exit status: 0 where all went well, 1 where something that was tried failed, and of `train`
+        130 or 143 where Ctrl-C or SIGTERM stopped the run, which is saved.
 
     Raises:
         SystemExit: With status 2 after a mistake of the user, which is answered in one line, and
-            130 after Ctrl-C.
+            130 after Ctrl-C; also where SIGTERM stopped a study or a search, which goes on later.
     """
     if "" not in sys.path:
         sys.path.insert(0, "")  # so that a module of the user's is found here, as `python -m` does
@@ -93,7 +93,8 @@ def answering() -> Iterator[None]:
     """End the process with one line about a mistake of the user; a bug keeps its traceback.
 
     Raises:
-        SystemExit: With status 2 where the error says what to change, 130 on Ctrl-C.
+        SystemExit: With status 2 where the error says what to change, 130 on Ctrl-C, or on what
+            a command treats like it.
     """
     try:
         yield

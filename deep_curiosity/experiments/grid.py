@@ -10,6 +10,7 @@ from numbers import Real
 from pathlib import Path
 from typing import Any
 
+from deep_curiosity.configuration import as_path
 from deep_curiosity.experiments.engines.base import Engine, Job, Outcome, make_job
 from deep_curiosity.experiments.engines.local import ExecutorEngine, LocalEngine
 from deep_curiosity.experiments.execution import Execution
@@ -127,8 +128,8 @@ def cells_of(study: Study, runs: Path) -> list[Cell]:
 def run_study(
     study: Study,
     *,
-    runs: Path,
-    out: Path,
+    runs: str | Path,
+    out: str | Path,
     workers: int = 2,
     engine: Engine | None = None,
     executor: Executor | None = None,
@@ -157,12 +158,16 @@ def run_study(
     Raises:
         FileExistsError: If a file at `out` is none that a study has written.
         OSError: If nothing can be written at `out`, or in `runs`.
-        ValueError: If the study names a column that no run can have; or one that a run which ends
-            does not have, which can be read when the study is run again with other columns.
+        TypeError: If `runs` or `out` is no path, or the workers are no whole number.
+        ValueError: If there is no worker; or the study names a column that no run can have; or one
+            that a run which ends does not have, which can be read when the study is run again with
+            other columns.
         KeyboardInterrupt: If it is stopped, once what came is written.
         RuntimeError: If a script calls it that a worker reads anew.
     """
     check_guarded("run_study")
+    runs = as_path("runs", runs).absolute()  # workers may have another working directory
+    out = as_path("out", out)
     check_out(study, out)
     check_measure(study)
     check_runs(runs)
@@ -421,6 +426,7 @@ def compare(study: Study, rows: Sequence[Row]) -> list[str]:
 
     Over all tasks, of the first column. An agent of which a run has no value is left out, as a
     chance over its other runs would be of those that went well; so are all, if the first is such.
+    Of single runs there is no chance to be told.
     """
     first, *others = study.agents
     if not others or len(others) > MANY_TO_COMPARE or study.label != "agent":
@@ -432,12 +438,19 @@ def compare(study: Study, rows: Sequence[Row]) -> list[str]:
         for own in [groups_of(study, rows, agent, column)]
         if not any(is_missing(value) for runs in own for value in runs)
     }
+    groups = {agent: own for agent, own in groups.items() if max(map(len, own)) > 1}
     lines = [
         [str(agent), str(probability_of_improvement(groups[first], groups[agent]))]
         for agent in others
         if first in groups and agent in groups
     ]
+    if not lines:
+        return [
+            "Agents are not compared: two need all runs, several of a task, each with a "
+            f"{column}.",
+            "",
+        ]
     is_better = any(word in column for word in MORE_IS_BETTER)
     comparison = "better than" if is_better else "has more than"
     header = [f"{first} {comparison}", f"probability, by {column}"]
-    return [markdown_table(header, lines), ""] if lines else []
+    return [markdown_table(header, lines), ""]

@@ -11,7 +11,7 @@ from typing import Any
 from deep_curiosity.configuration import check_range
 from deep_curiosity.experiments.runs import MEASURED, measure_run, run_own
 from deep_curiosity.training.config import Config
-from deep_curiosity.transitions import is_whole_number
+from deep_curiosity.transitions import check_flags, is_whole_number
 
 Row = dict[str, Any]
 Agents = dict[str | float, dict[str, Any]]
@@ -83,7 +83,8 @@ class Study:
 
     Raises:
         TypeError: If tasks or agents are none, an agent changes a setting that there is not, or
-            gives it a wrong type; columns are no names, or a count is no whole number.
+            gives it a wrong type; label or columns are no names, `measure` or `run` is no
+            function, `curves` neither True nor False, or a count is no whole number.
         ValueError: If there is no task or agent, two have one name or one folder, a number is out
             of range, an agent's settings cannot be, or the label or columns are none.
     """
@@ -102,6 +103,8 @@ class Study:
         """Refuse what could not be run, before anything is."""
         object.__setattr__(self, "tasks", as_tasks(self.tasks))
         check_seeds(self.seeds, self.first_seed)
+        check_flags(curves=self.curves)
+        self._check_functions()
         self._check_labels()
         tasks, agents = [task.name for task in self.tasks], [str(label) for label in self.agents]
         for name, known in (("tasks", tasks), ("agents", agents)):
@@ -119,6 +122,12 @@ class Study:
         tasks = [task for task in self.tasks if not task.is_shown_apart]
         return replace(self, tasks=tasks or self.tasks)
 
+    def _check_functions(self) -> None:
+        """Refuse what could not be called once there is a run."""
+        for name in ("measure", "run"):
+            if not callable(value := getattr(self, name)):
+                raise TypeError(f"`{name}` must be a function, got {value!r}.")
+
     def _check_columns(self) -> None:
         """Refuse columns that are no names, and a label that is one of the rows' columns."""
         columns = self.columns
@@ -126,6 +135,8 @@ class Study:
             raise TypeError(f"`columns` must be a sequence of names, got {columns!r}.")
         if not columns or len(set(columns)) < len(columns):
             raise ValueError(f"`columns` must have names, each of its own, got {columns!r}.")
+        if not isinstance(self.label, str):
+            raise TypeError(f"`label` must be text, got {self.label!r}.")
         if not self.label or self.label in (*OF_ROWS, *MEASURED, *columns):
             raise ValueError(f"`label` must be a name of no column, got {self.label!r}.")
 

@@ -12,12 +12,13 @@ require("optuna", extra="tune")
 import json
 import math
 import sys
+import warnings
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 from urllib.parse import quote
 
 import numpy as np
@@ -27,7 +28,7 @@ from optuna.trial import TrialState
 from sqlalchemy import URL
 from sqlalchemy.exc import SQLAlchemyError
 
-from deep_curiosity.configuration import flat
+from deep_curiosity.configuration import MOST_SEED, as_path, check_range, flat
 from deep_curiosity.experiments.engines.base import Engine, Job, make_job
 from deep_curiosity.experiments.execution import Ended, Execution
 from deep_curiosity.experiments.figures import plot_search
@@ -41,6 +42,7 @@ from deep_curiosity.training.config import Config
 from deep_curiosity.training.interruption import terminated_like_interrupted
 from deep_curiosity.training.lease import Lease, LeaseError
 from deep_curiosity.training.log import write_json
+from deep_curiosity.transitions import check_counts, is_whole_number
 
 EVALUATIONS = "evaluations.jsonl"
 SEARCH = "search"  # attribute of Optuna's study: of what its trials are
@@ -55,8 +57,8 @@ def tune(
     search: Search,
     *,
     trials: int,
-    runs: Path,
-    out: Path,
+    runs: str | Path,
+    out: str | Path,
     engine: Engine,
     storage: str | None = None,
     pruner: Pruner = "median",
@@ -67,6 +69,10 @@ def tune(
 
     A search that was cut off goes on with the trials it was at. Which settings are tried depends
     on `seed`, `at_once` and the scores alone, neither on clocks nor on interruptions.
+
+    Where a present setting differs between the tasks, the first trial has that of the first task
+    for all; where one of these lies outside the search space, the first trial is drawn like the
+    others. A warning names such settings.
 
     Args:
         search: What may be chosen, and how it is scored.
@@ -88,12 +94,14 @@ def tune(
         LeaseError: If another process searches in `runs`.
         OSError: If nothing can be written at `out`, or in `runs`.
         RuntimeError: If a script calls it that a worker reads anew.
-        ValueError: If a number is below 1, or `storage` cannot be opened.
+        TypeError: If a number is not whole, or `runs` or `out` is no path.
+        ValueError: If a number is out of range, there is no such pruner, or `storage` cannot be
+            opened.
     """
     check_guarded("tune")
-    for name, number in (("trials", trials), ("at_once", at_once)):
-        if number < 1:
-            raise ValueError(f"`{name}` must be at least 1, got {number}.")
+    _check_options(trials, at_once, seed, pruner)
+    runs = as_path("runs", runs).absolute()  # workers may have another working directory
+    out = as_path("out", out)
     check_out(out)
     with terminated_like_interrupted(), _alone(runs), engine:
         study = open_study(search, runs, storage, pruner)
@@ -109,6 +117,21 @@ def tune(
                 trial.tell(study)
         write_search(study, out)
     return study
+
+
+def _check_options(trials: int, at_once: int, seed: int, pruner: Pruner) -> None:
+    """Refuse numbers and a pruner that cannot be, before anything is tried.
+
+    Raises:
+        TypeError: If a number is not whole.
+        ValueError: If it is out of range, or there is no such pruner.
+    """
+    check_counts(trials=trials, at_once=at_once)
+    if not is_whole_number(seed):
+        raise TypeError(f"`seed` must be a whole number, got {seed!r}.")
+    check_range("seed", int(seed), {"at_least": 0, "at_most": MOST_SEED})
+    if pruner not in (known := get_args(Pruner)):
+        raise ValueError(f"`pruner` must be one of {', '.join(known)}, got {pruner!r}.")
 
 
 @contextmanager
@@ -137,6 +160,8 @@ def open_study(
 ) -> optuna.Study:
     """Optuna's study of a search, made or opened again; its first trial has the present settings.
 
+    Where it cannot have those of every task, a warning says so, as `tune` does.
+
     Args:
         search: What may be chosen.
         runs: Folder of the storage where none is given.
@@ -155,12 +180,41 @@ def open_study(
         pruner=_make_pruner(search, pruner),
         load_if_exists=True,
     )
-    present = {name: flat(search.tasks[0].config)[name].value for name in search.space}
-    is_in_space = all(_holds(search.space[name], present[name]) for name in present)
+    present = _present_settings(search)
+    outside = [name for name in present if not _holds(search.space[name], present[name][0])]
     _claim(study, search)  # once nothing else is to be refused
-    if is_in_space and not study.trials:
-        study.enqueue_trial(present)
+    if study.trials:
+        return study
+    _warn_of_first(search, present, outside)
+    if not outside:
+        study.enqueue_trial({name: values[0] for name, values in present.items()})
     return study
+
+
+def _present_settings(search: Search) -> dict[str, list[Any]]:
+    """Of what varies the value that each task has at present, by the name of the setting."""
+    settings = [flat(task.config) for task in search.tasks]
+    return {name: [own[name].value for own in settings] for name in search.space}
+
+
+def _warn_of_first(
+    search: Search, present: Mapping[str, Sequence[Any]], outside: Sequence[str]
+) -> None:
+    """Warn where the first trial cannot have the present settings of every task."""
+    reasons = [f"`{name}` {present[name][0]!r} is outside the search space" for name in outside]
+    for name, values in present.items():
+        if any(value != values[0] for value in values):
+            own = [
+                f"{each!r} of {task.name}" for task, each in zip(search.tasks, values, strict=True)
+            ]
+            reasons.append(f"`{name}` differs between the tasks, {', '.join(own)}")
+    if reasons:
+        instead = "is drawn instead" if outside else f"has those of {search.tasks[0].name} for all"
+        warnings.warn(
+            "the first trial cannot have the present settings of every task: "
+            f"{'; '.join(reasons)}. It {instead}.",
+            stacklevel=3,
+        )
 
 
 def _claim(study: optuna.Study, search: Search) -> None:

@@ -4,10 +4,13 @@ import csv
 import io
 import json
 import os
+import secrets
 import shutil
+import time
 import warnings
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
+from glob import escape
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +24,7 @@ SUMMARY = "summary.json"
 WEIGHTS = "policy.safetensors"  # of an exported policy, which is no run
 WRITTEN = (CONFIG, SPACES, PROGRESS, SUMMARY, NEWEST, PREVIOUS, "run.png")
 """All that a run writes over, but for files with names of their own."""
+ORPHAN_SECONDS = 3_600.0  # since the last byte: no file of ours takes as long from one to the next
 
 
 def make_folder(folder: Path) -> None:
@@ -155,14 +159,19 @@ def write_text(path: Path, text: str) -> None:
 
 
 @contextmanager
-def written_whole(path: Path, *, mark: str = "partial") -> Iterator[Path]:
+def written_whole(path: Path, *, mark: str | None = None) -> Iterator[Path]:
     """Path beside a file or folder of what takes its place once it is written whole.
+
+    Several processes may write one file: that of the last stands.
 
     Args:
         path: That is wanted.
-        mark: In the name of what is being written, between stem and suffix; one of its own where
-            several may write.
+        mark: In the name of what is being written, between stem and suffix; by default one that
+            no other writer has, and what a process that was killed has left is removed.
     """
+    if mark is None:
+        _remove_orphans(path)
+        mark = f"{secrets.token_hex(4)}.partial"
     partial = path.with_name(f"{path.stem}.{mark}{path.suffix}")
     try:
         yield partial
@@ -173,6 +182,15 @@ def written_whole(path: Path, *, mark: str = "partial") -> Iterator[Path]:
         else:
             partial.unlink(missing_ok=True)
         raise
+
+
+def _remove_orphans(path: Path) -> None:
+    """Remove what processes that were killed have left of a file; a living one's is younger."""
+    token = "[0-9a-f]" * 8
+    for orphan in path.parent.glob(f"{escape(path.stem)}.{token}.partial{escape(path.suffix)}"):
+        with suppress(OSError):  # another process has removed it
+            if time.time() - orphan.stat().st_mtime > ORPHAN_SECONDS:
+                orphan.unlink()
 
 
 class Log:

@@ -27,6 +27,7 @@ from deep_curiosity.experiments.study import Result, Study, Task
 from deep_curiosity.training import Config, train
 from deep_curiosity.training.log import open_folder
 from deep_curiosity.training.source import source_commit
+from tests.experiments.engines.elsewhere import ElsewhereEngine
 
 
 def table(path):
@@ -217,6 +218,10 @@ def test_settings_of_all_runs_can_be_overridden(small_study, tmp_path):
         ({"agents": {None: {}}}, TypeError, "`agents` must have names or numbers .* got None"),
         ({"agents": {math.nan: {}}}, ValueError, "`agents` must have labels that equal .*got nan"),
         ({"agents": {"a\0b": {}}}, ValueError, "`agents` must have names that folders can have"),
+        ({"label": 3}, TypeError, "`label` must be text, got 3"),
+        ({"measure": "x"}, TypeError, "`measure` must be a function, got 'x'"),
+        ({"run": None}, TypeError, "`run` must be a function, got None"),
+        ({"curves": "no"}, TypeError, "`curves` must be True or False, got 'no'"),
     ],
     ids=str,
 )
@@ -326,7 +331,7 @@ def test_an_agent_with_a_run_without_a_value_is_not_compared(make_rows):
     (text, _) = compare(study, rows)
     assert "| bad | 1 [1, 1] |" in text and "lost" not in text
     first = replace(study, agents=dict(reversed(agents.items())))
-    assert compare(first, rows) == []
+    assert compare(first, rows)[0].startswith("Agents are not compared: two need")
 
 
 def test_a_column_that_is_not_measured_is_refused_at_the_first_result(
@@ -572,3 +577,47 @@ def test_neither_curves_nor_table_of_another_study_are_written_over(quick_study,
         FileExistsError, match=r"got .*other_curves\.csv, which holds the table of"
     ):
         run_quickly(study, tmp_path / "other")
+
+
+def measured_in_its_folder(cell):
+    cell.folder.mkdir(parents=True)
+    return measured(cell)
+
+
+def test_a_relative_folder_of_runs_is_the_caller_s_wherever_workers_are(
+    quick_study, tmp_path, monkeypatch
+):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    study = replace(quick_study, run=measured_in_its_folder)
+    engine = ElsewhereEngine(tmp_path / "elsewhere")
+    assert run_study(study, runs=Path("runs"), out=Path("out"), engine=engine) == 0
+    assert [*(tmp_path / "elsewhere").iterdir()] == []
+    assert (tmp_path / "here/runs/pendulum/good/seed1").is_dir()
+    assert len(table(tmp_path / "here" / "out")) == 2
+
+
+@pytest.mark.parametrize("kind", [Path, str])
+def test_runs_and_tables_may_lie_below_the_home_folder(quick_study, tmp_path, monkeypatch, kind):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    study = replace(quick_study, run=measured_in_its_folder)
+    with ThreadPoolExecutor(1) as executor:
+        places = {"runs": kind("~/runs/b"), "out": kind("~/res/b")}
+        assert run_study(study, **places, executor=executor) == 0
+    assert {path.name for path in tmp_path.iterdir()} == {"runs", "res"}
+    assert len(table(tmp_path / "res" / "b")) == 2
+
+
+@pytest.mark.parametrize("name", ["runs", "out"])
+def test_what_is_no_path_is_refused_by_name(quick_study, tmp_path, name):
+    places = {"runs": tmp_path / "runs", "out": tmp_path / "out"} | {name: 3}
+    with pytest.raises(TypeError, match=f"`{name}` must be a path, got 3"):
+        run_study(quick_study, **places)
+
+
+@pytest.mark.parametrize("workers", ["2", 1.5, True])
+def test_workers_that_are_no_whole_number_are_refused(quick_study, tmp_path, workers):
+    message = f"`workers` must be a whole number, got {workers!r}"
+    with pytest.raises(TypeError, match=message):
+        run_study(quick_study, runs=tmp_path / "runs", out=tmp_path / "out", workers=workers)

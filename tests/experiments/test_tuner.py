@@ -6,6 +6,7 @@ import json
 import math
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
@@ -20,6 +21,7 @@ from deep_curiosity.experiments.search import Search  # noqa: E402
 from deep_curiosity.experiments.study import Task  # noqa: E402
 from deep_curiosity.training.command_line import parse  # noqa: E402
 from deep_curiosity.training.lease import Lease, LeaseError  # noqa: E402
+from tests.experiments.engines.elsewhere import ElsewhereEngine  # noqa: E402
 
 pytestmark = [
     pytest.mark.slow,
@@ -224,6 +226,79 @@ def test_numbers_of_trials_are_checked(search_in, tmp_path):
             search_in(tmp_path, **{name: 0})
 
 
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"trials": "2"}, TypeError, "`trials` must be a whole number, got '2'"),
+        ({"trials": 1.5}, TypeError, "`trials` must be a whole number, got 1.5"),
+        ({"at_once": 1.5}, TypeError, "`at_once` must be a whole number, got 1.5"),
+        ({"at_once": True}, TypeError, "`at_once` must be a whole number, got True"),
+        ({"seed": -1}, ValueError, "`seed` must not be negative, got -1"),
+        ({"seed": 2**32}, ValueError, "`seed` must be at most 4294967295, got 4294967296"),
+        ({"seed": 0.5}, TypeError, "`seed` must be a whole number, got 0.5"),
+        (
+            {"pruner": "foo"},
+            ValueError,
+            "`pruner` must be one of median, hyperband, none, got 'foo'",
+        ),
+        ({"out": 3}, TypeError, "`out` must be a path, got 3"),
+    ],
+    ids=str,
+)
+def test_options_of_a_search_that_cannot_be_are_refused_by_name(
+    search_in, calls, tmp_path, options, error, message
+):
+    with pytest.raises(error, match=message):
+        search_in(tmp_path, **options)
+    assert not calls
+
+
+def test_a_relative_folder_of_trials_is_the_caller_s_wherever_workers_are(
+    search, calls, tmp_path, monkeypatch
+):
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    engine = ElsewhereEngine(tmp_path / "elsewhere")
+    study = tuner.tune(search, trials=1, runs=Path("runs"), out=Path("best"), engine=engine)
+    assert [trial.state.name for trial in study.trials] == ["COMPLETE"]
+    assert [*(tmp_path / "elsewhere").iterdir()] == []
+    assert {path.name for path in Path("runs").iterdir()} == {"trials.db", "trial0000"}
+
+
+def test_trials_and_best_settings_may_lie_below_the_home_folder(
+    search, calls, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    with ThreadPoolExecutor(1) as executor:
+        engine = ExecutorEngine(executor)
+        tuner.tune(search, trials=1, runs="~/runs/b", out=Path("~/res/b"), engine=engine)
+    assert {path.name for path in tmp_path.iterdir()} == {"runs", "res"}
+    assert (tmp_path / "runs" / "b" / "trials.db").exists()
+    assert (tmp_path / "res" / "b.json").exists()
+
+
+def test_present_settings_that_differ_between_the_tasks_are_named(search, tmp_path):
+    easy, hard = search.tasks
+    faster = replace(hard, config=hard.config.override(learning_rate=0.01))
+    message = (
+        "`learning_rate` differs between the tasks, 0.001 of easy, 0.01 of hard. "
+        "It has those of easy for all."
+    )
+    with pytest.warns(UserWarning, match=message):
+        study = tuner.open_study(replace(search, tasks=[easy, faster]), tmp_path / "runs")
+    assert study.trials[0].system_attrs["fixed_params"]["learning_rate"] == 0.001
+    tuner.open_study(replace(search, tasks=[easy, faster]), tmp_path / "runs")  # said once
+
+
+def test_present_settings_outside_the_search_space_are_named(search, tmp_path):
+    space = {**search.space, "batch_size": CategoricalDistribution((64, 128))}
+    message = "`batch_size` 32 is outside the search space. It is drawn instead."
+    with pytest.warns(UserWarning, match=message):
+        study = tuner.open_study(replace(search, space=space), tmp_path / "runs")
+    assert study.trials == []
+
+
 def test_searches_whose_names_end_in_a_number_keep_files_of_their_own(search_in, calls, tmp_path):
     for name in ("gamma0.1", "gamma0.2"):
         search_in(tmp_path / name, trials=1, out=tmp_path / name)
@@ -321,7 +396,8 @@ def test_a_combination_that_no_run_can_have_is_a_failed_trial_and_the_search_goe
     small, large = CategoricalDistribution((16, 64)), CategoricalDistribution((32, 128))
     rates = search.space["learning_rate"]
     space = {"batch_size": small, "replay_capacity": large, "learning_rate": rates}
-    with ThreadPoolExecutor(1) as executor:
+    outside = "`batch_size` 32 is outside"
+    with ThreadPoolExecutor(1) as executor, pytest.warns(UserWarning, match=outside):
         study = tuner.tune(
             replace(search, space=space),
             trials=12,

@@ -1,5 +1,7 @@
 import json
 import math
+import os
+import time
 from pathlib import Path
 
 import pytest
@@ -8,6 +10,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from deep_curiosity.training.config import YOUNGER, Config, config_key
 from deep_curiosity.training.log import (
     CONFIG,
+    ORPHAN_SECONDS,
     PROGRESS,
     WRITTEN,
     Log,
@@ -17,6 +20,8 @@ from deep_curiosity.training.log import (
     read_progress,
     read_values,
     write_json,
+    write_text,
+    written_whole,
 )
 
 
@@ -128,6 +133,33 @@ def test_a_file_is_written_whole_or_not_at_all(tmp_path):
     with pytest.raises(TypeError):
         write_json(path, {("no", "key"): 2})
     assert json.loads(path.read_text()) == {"a": 1, "where": "b"}
+
+
+def test_several_may_write_one_file_and_that_of_the_last_stands(tmp_path):
+    path = tmp_path / "values.csv"
+    with written_whole(path) as last:
+        last.write_text("last")
+        with written_whole(path) as first:
+            first.write_text("first")
+        assert path.read_text() == "first"
+    assert path.read_text() == "last"
+    assert [*tmp_path.iterdir()] == [path]
+
+
+def test_what_killed_processes_have_left_of_a_file_is_removed(tmp_path):
+    path, now = tmp_path / "values[1].csv", time.time()
+    ages = {
+        "values[1].0123abcd.partial.csv": 2 * ORPHAN_SECONDS,
+        "values[1].4567abcd.partial.csv": ORPHAN_SECONDS / 2,  # perhaps of one that writes
+        "values[1].of_mine.partial.csv": 2 * ORPHAN_SECONDS,
+        "values1.0123abcd.partial.csv": 2 * ORPHAN_SECONDS,
+    }
+    for name, age in ages.items():
+        (tmp_path / name).touch()
+        os.utime(tmp_path / name, (now - age, now - age))
+    write_text(path, "whole")
+    left = {*ages, path.name} - {"values[1].0123abcd.partial.csv"}
+    assert {each.name for each in tmp_path.iterdir()} == left
 
 
 def test_rows_have_the_columns_of_the_first(tmp_path):

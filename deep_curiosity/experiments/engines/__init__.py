@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from deep_curiosity.configuration import Group, setting
+from deep_curiosity.configuration import Group, as_path, setting
 from deep_curiosity.experiments.engines.base import Engine
 from deep_curiosity.experiments.engines.local import LocalEngine
 from deep_curiosity.experiments.engines.ray import RayEngine
@@ -28,7 +28,7 @@ class EngineArgs(Group):
     name=value: slurm_partition=gpu timeout_min=600."""
 
 
-def make_engine(args: EngineArgs, runs: Path) -> Engine:
+def make_engine(args: EngineArgs, runs: str | Path) -> Engine:
     """The engine that a command line asks for.
 
     Args:
@@ -37,8 +37,10 @@ def make_engine(args: EngineArgs, runs: Path) -> Engine:
 
     Raises:
         ImportError: If its package is missing, with the command that installs it.
+        TypeError: If `runs` is no path.
         ValueError: If an option is not one of the engine's.
     """
+    runs = as_path("runs", runs).absolute()
     options = read_settings(args.engine_options, "engine_options")
     if args.engine != "ray" and args.address is not None:
         raise ValueError(f"`address` must be left out without the engine ray, got {args.address}.")

@@ -19,6 +19,7 @@ from threading import Lock
 from deep_curiosity.experiments.engines.base import Engine, Job, Outcome
 from deep_curiosity.experiments.workers import follow_parent
 from deep_curiosity.training.interruption import interrupt_thread, interruptible_thread
+from deep_curiosity.transitions import check_counts
 
 
 class LocalEngine(Engine):
@@ -28,12 +29,12 @@ class LocalEngine(Engine):
         workers: Processes at a time.
 
     Raises:
+        TypeError: If the workers are no whole number.
         ValueError: If there is none.
     """
 
     def __init__(self, workers: int = 2) -> None:
-        if workers < 1:
-            raise ValueError(f"`workers` must be at least 1, got {workers}.")
+        check_counts(workers=workers)
         self.workers = workers
         self._threads = ThreadPoolExecutor(workers)
         self._idle: SimpleQueue[_Worker] = SimpleQueue()

@@ -33,6 +33,8 @@ class SlurmEngine(Engine):
 
         self._executor = submitit.AutoExecutor(folder=folder, cluster=cluster)
         self._executor.update_parameters(**{"timeout_min": DAY} | parameters)
+        own = parameters.get("gpus_per_node", 0)
+        self._gpus = parameters.get(f"{self._executor.cluster}_gpus_per_node", own)
         self._pending: dict[Future[Outcome], Any] = {}
         self._closed = threading.Event()
         self._lock = threading.Lock()
@@ -42,14 +44,19 @@ class SlurmEngine(Engine):
     def submit(self, jobs: Sequence[Job]) -> list[Future[Outcome]]:
         """Submit the jobs, as one array for each kind of need."""
         futures: list[Future[Outcome]] = []
-        for needs, alike in groupby(jobs, key=_needs):
-            self._executor.update_parameters(**dict(needs))
+        for needs, alike in groupby(jobs, key=self._needs):
+            self._executor.update_parameters(**needs)
             for submitted in self._executor.map_array(Requeued(), [*alike]):
                 future: Future[Outcome] = Future()
                 with self._lock:
                     self._pending[future] = submitted
                 futures.append(future)
         return futures
+
+    def _needs(self, job: Job) -> dict[str, int]:
+        """All that jobs differ in, as submitit keeps what an earlier array was given."""
+        gpus = self._gpus if job.device == "cpu" else 1
+        return {"cpus_per_task": job.threads, "gpus_per_node": gpus}
 
     def _poll(self) -> None:
         """Tell the futures what has become of their jobs."""
@@ -74,11 +81,6 @@ class SlurmEngine(Engine):
         self._poller.join()
         for submitted in self._pending.values():
             submitted.cancel(check=False)
-
-
-def _needs(job: Job) -> tuple[tuple[str, int], ...]:
-    gpus = () if job.device == "cpu" else (("gpus_per_node", 1),)
-    return (("cpus_per_task", job.threads), *gpus)
 
 
 class Requeued:

@@ -39,7 +39,7 @@ def find_study(name: str) -> tuple[str, Study, Path]:
         ImportError: If the library whose agents are studied is missing.
         ValueError: If there is no such study, or a file that holds none.
     """
-    file, _, wanted = name.partition(":")
+    file, wanted = _split(name)
     if file.endswith(".py"):
         return _find_own(from_home(Path(file)), wanted)
     if name in LIBRARIES:
@@ -56,6 +56,12 @@ def find_study(name: str) -> tuple[str, Study, Path]:
     raise ValueError(
         f"`study` must be a file or one of {', '.join(choices)}, got {name!r}{nearest}."
     )
+
+
+def _split(name: str) -> tuple[str, str]:
+    """File and entry of `FILE.py:NAME`, whatever colons the path has; no entry without one."""
+    before, mark, wanted = name.rpartition(".py:")
+    return (f"{before}.py", wanted) if mark else (name, "")
 
 
 def _find_own(path: Path, wanted: str) -> tuple[str, Study, Path]:
@@ -143,7 +149,7 @@ def find_search(name: str) -> tuple[str, Search]:
         ValueError: If there is no such search.
     """
     require("optuna", extra="tune")
-    file, _, wanted = name.partition(":")
+    file, wanted = _split(name)
     if file.endswith(".py"):
         return load_own(from_home(Path(file)), "SEARCHES", wanted)
     searches = import_module(f"{__name__}.searches").SEARCHES

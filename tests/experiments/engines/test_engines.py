@@ -23,6 +23,14 @@ def test_processes_of_this_machine_are_the_default(tmp_path):
         assert isinstance(engine, LocalEngine) and engine.workers == 3
 
 
+def test_files_of_slurm_lie_below_the_folder_that_is_meant(tmp_path, monkeypatch):
+    pytest.importorskip("submitit")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    args = EngineArgs(engine="slurm", engine_options=("cluster=local",))
+    with make_engine(args, "~/runs") as engine:
+        assert engine._executor.folder == tmp_path / "runs" / "slurm"
+
+
 @pytest.mark.parametrize(
     ("options", "message"),
     [

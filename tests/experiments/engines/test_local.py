@@ -75,6 +75,12 @@ def test_without_workers_nothing_is_done():
         LocalEngine(0)
 
 
+@pytest.mark.parametrize("workers", ["2", 1.5, True])
+def test_workers_are_counted_in_whole_numbers(workers):
+    with pytest.raises(TypeError, match=f"`workers` must be a whole number, got {workers!r}"):
+        LocalEngine(workers)
+
+
 def test_a_worker_that_is_told_to_stop_while_it_starts_begins_nothing(tmp_path):
     with LocalEngine(1) as engine:
         (future,) = engine.submit([make_job(functions.wait_until_told, tmp_path)])

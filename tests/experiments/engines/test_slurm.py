@@ -1,6 +1,8 @@
 """Slurm's part is played by submitit's own executor of processes of this machine."""
 
 import gc
+import sys
+from types import SimpleNamespace
 
 import pytest
 
@@ -49,3 +51,39 @@ def test_jobs_are_cancelled_where_the_engine_is_left(engine, tmp_path):
     (job,) = engine._pending.values()
     engine.close()
     wait_until(job.done)  # submitit kills it where it has not ended in a second: it need not save
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """What each array asks for, of a submitit that keeps its parameters, as the true one does."""
+    asked = []
+
+    class AutoExecutor:
+        cluster = "slurm"
+
+        def __init__(self, **options):
+            self.parameters = {}
+
+        def update_parameters(self, **parameters):
+            self.parameters |= parameters
+
+        def map_array(self, function, jobs):
+            asked.append(dict(self.parameters))
+            return [SimpleNamespace(done=lambda: False, cancel=lambda check: None) for _ in jobs]
+
+    submitit = SimpleNamespace(__spec__=object(), AutoExecutor=AutoExecutor)
+    monkeypatch.setitem(sys.modules, "submitit", submitit)
+    return asked
+
+
+@pytest.mark.parametrize(
+    ("own", "gpus"),
+    [({}, 0), ({"gpus_per_node": 2}, 2), ({"gpus_per_node": 2, "slurm_gpus_per_node": 3}, 3)],
+)
+def test_a_job_without_a_gpu_asks_for_none_after_one_with_it(asked, tmp_path, own, gpus):
+    from deep_curiosity.experiments.engines.slurm import SlurmEngine
+
+    devices = ["cpu", "cuda", "cpu"]
+    with SlurmEngine(tmp_path, **own) as engine:
+        engine.submit([make_job(functions.square, 3, device=device) for device in devices])
+    assert [each["gpus_per_node"] for each in asked] == [gpus, 1, gpus]

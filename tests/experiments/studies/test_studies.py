@@ -11,6 +11,7 @@ from deep_curiosity.experiments.studies import (
     FOLDERS,
     comparisons,
     development,
+    find_search,
     find_study,
     illustrations,
     results,
@@ -63,6 +64,23 @@ def test_a_study_of_one_s_own_is_read_from_its_file(tmp_path):
         find_study(f"{path}:other")
     with pytest.raises(FileNotFoundError, match="file that exists"):
         find_study(str(tmp_path / "missing.py"))
+
+
+def test_colons_may_be_in_the_path_of_a_study_of_one_s_own(tmp_path):
+    folder = tmp_path / "a:b"
+    folder.mkdir()
+    path = folder / "study_behind_a_colon.py"
+    path.write_text(OWN)
+    for name in (str(path), f"{path}:own"):
+        assert find_study(name)[0] == "own"
+    with pytest.raises(FileNotFoundError, match=r"got C:\\me\\mine\.py\."):
+        find_study(r"C:\me\mine.py")
+
+
+def test_colons_may_be_in_the_path_of_a_search_of_one_s_own(tmp_path):
+    pytest.importorskip("optuna")
+    with pytest.raises(FileNotFoundError, match=r"`search` must name .*/a:b/mine\.py\."):
+        find_search(f"{tmp_path}/a:b/mine.py:own")
 
 
 def test_cells_of_the_pendulum_tile_angle_and_speed():
