@@ -33,7 +33,7 @@ class SlurmEngine(Engine):
 
         self._executor = submitit.AutoExecutor(folder=folder, cluster=cluster)
         self._executor.update_parameters(**{"timeout_min": DAY} | parameters)
-        own = parameters.get("gpus_per_node", 0)
+        own = parameters.get("gpus_per_node")
         self._gpus = parameters.get(f"{self._executor.cluster}_gpus_per_node", own)
         self._pending: dict[Future[Outcome], Any] = {}
         self._closed = threading.Event()
@@ -46,6 +46,8 @@ class SlurmEngine(Engine):
         futures: list[Future[Outcome]] = []
         for needs, alike in groupby(jobs, key=self._needs):
             self._executor.update_parameters(**needs)
+            if needs["gpus_per_node"] is not None:  # which submitit keeps for later arrays
+                self._gpus = self._gpus or 0
             for submitted in self._executor.map_array(Requeued(), [*alike]):
                 future: Future[Outcome] = Future()
                 with self._lock:
@@ -53,8 +55,8 @@ class SlurmEngine(Engine):
                 futures.append(future)
         return futures
 
-    def _needs(self, job: Job) -> dict[str, int]:
-        """All that jobs differ in, as submitit keeps what an earlier array was given."""
+    def _needs(self, job: Job) -> dict[str, int | None]:
+        """All that jobs differ in; `None` leaves to Slurm what was never asked for."""
         gpus = self._gpus if job.device == "cpu" else 1
         return {"cpus_per_task": job.threads, "gpus_per_node": gpus}
 

@@ -65,7 +65,7 @@ def asked(monkeypatch):
             self.parameters = {}
 
         def update_parameters(self, **parameters):
-            self.parameters |= parameters
+            self.parameters |= {name: one for name, one in parameters.items() if one is not None}
 
         def map_array(self, function, jobs):
             asked.append(dict(self.parameters))
@@ -78,7 +78,11 @@ def asked(monkeypatch):
 
 @pytest.mark.parametrize(
     ("own", "gpus"),
-    [({}, 0), ({"gpus_per_node": 2}, 2), ({"gpus_per_node": 2, "slurm_gpus_per_node": 3}, 3)],
+    [
+        ({}, [None, 0]),  # a cluster that knows no GPUs may refuse even none of them
+        ({"gpus_per_node": 2}, [2, 2]),
+        ({"gpus_per_node": 2, "slurm_gpus_per_node": 3}, [3, 3]),
+    ],
 )
 def test_a_job_without_a_gpu_asks_for_none_after_one_with_it(asked, tmp_path, own, gpus):
     from deep_curiosity.experiments.engines.slurm import SlurmEngine
@@ -86,4 +90,5 @@ def test_a_job_without_a_gpu_asks_for_none_after_one_with_it(asked, tmp_path, ow
     devices = ["cpu", "cuda", "cpu"]
     with SlurmEngine(tmp_path, **own) as engine:
         engine.submit([make_job(functions.square, 3, device=device) for device in devices])
-    assert [each["gpus_per_node"] for each in asked] == [gpus, 1, gpus]
+    first, last = gpus
+    assert [each.get("gpus_per_node") for each in asked] == [first, 1, last]
