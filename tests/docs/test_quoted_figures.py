@@ -13,6 +13,7 @@ from deep_curiosity.experiments.statistics import (
     interquartile_mean,
     probability_of_improvement,
 )
+from deep_curiosity.experiments.studies import development
 from tests.docs.pages import ROOT, text_of
 
 HORIZON = "docs/sweeps/horizon.csv"
@@ -51,7 +52,7 @@ RUNNERS = {
     "Stable-Baselines3's SAC, as its users run it": "Stable-Baselines3",
     "the same with the matrix precision of ours": "Stable-Baselines3, our precision",
     "plain agent (`--bonus none`)": "plain, compiled",
-    "curious agent (five models, two pairs of critics, learned prior)": "curious, compiled",
+    "curious agent (five models, learned prior)": "curious, compiled",
     "plain agent, `--preset exact`": "plain, exact, compiled",
     "curious agent, `--preset exact`": "curious, exact, compiled",
 }
@@ -64,6 +65,26 @@ def test_the_table_of_speeds_is_that_of_the_benchmark(line):
         rate, times = speeds(folder)[RUNNERS[line]]
         cells.append(rate if times == 1 else f"{rate} ({times:.2f})")
     assert f"| {line} | {' | '.join(cells)} |" in README
+
+
+def test_what_is_said_of_an_older_cpu_is_what_was_measured():
+    folder = "docs/benchmark/zen4"
+    (sbx,) = (name for name in speeds(folder) if name.startswith("SBX "))
+    rate, times = speeds(folder)[sbx]
+    assert f"| SBX's SAC, compiled by JAX | not measured | {rate} ({times:.2f}) |" in README
+    over_sbx = rate_over(rows_of(f"{folder}/agents.csv"), sbx)
+    plain = [row for row in rows_of(f"{folder}/agents.csv") if row["runner"] == "plain, compiled"]
+    page = " ".join(text_of(f"{folder}/README.md").split())
+    assert (
+        f"The plain agent is {speeds(folder)['plain, compiled'][1]:.2f} times as fast as "
+        f"Stable-Baselines3's and {statistics.median(map(over_sbx, plain)):.2f} times as fast"
+    ) in page
+    assert f"learn too, {speeds(folder)['curious, compiled'][1]:.2f} times as fast" in page
+    rates = [
+        statistics.median(row["gigaflop_per_second"] for row in rows if row["gigaflop_per_second"])
+        for rows in (rows_of("docs/benchmark/agents.csv"), rows_of(f"{folder}/agents.csv"))
+    ]
+    assert f"slower by a factor of {rates[0] / rates[1]:.1f} than" in page
 
 
 def over_floor(runner):
@@ -648,6 +669,55 @@ def draw_shares(rows):
     for row in rows:
         shares[row["task"]] = max(shares.get(row["task"], 0.0), row["draw_share"])
     return shares
+
+
+WITHOUT = {
+    "256 components": "thousands of components (256)",
+    "nothing forgotten": "forgetting",
+    "moments": "saturating units (moments)",
+    "no greedy policy": "the greedy policy",
+    "one step ahead": "three steps (one)",
+    "uniform prior": "the learned prior (uniform)",
+}
+
+
+@pytest.mark.parametrize("agent", WITHOUT)
+def test_what_is_said_of_each_part_of_the_default_is_what_was_measured(agent):
+    path = "docs/development/ablation.csv"
+    own = grouped(rows_of(path), "task", "agent")
+    differences = [
+        np.subtract(
+            *([row["area"] for row in own[task.name, name]] for name in ("default", agent))
+        )
+        / task.solved_return
+        for task in development.STUDIES["ablation"].tasks
+    ]
+    estimates = [*(bootstrap([one]) for one in differences), bootstrap(differences)]
+    cells = [f"{each.value:.2f} [{each.low:.2f}, {each.high:.2f}]" for each in estimates]
+    solved = f"{sum(solved_runs(path, agent).values()):.0f} of 24"
+    page = text_of("docs/development/README.md")
+    assert " | ".join(["", WITHOUT[agent], *cells, solved, ""]).strip() in page
+    by_default = sum(solved_runs(path, "default").values())
+    assert f"The default solves {by_default:.0f} runs of 24." in page
+    names = "default", "nothing forgotten", "moments", "no greedy policy", "uniform prior"
+    in_maze = (solved_runs(path, name)["PointMaze"] for name in names)
+    assert "solves {:.0f} of 8, and without them {:.0f}, {:.0f}, {:.0f} and {:.0f}".format(
+        *in_maze
+    ) in " ".join(page.split())
+
+
+def test_what_is_said_of_few_components_is_what_was_measured():
+    shares = draw_shares(rows_of("docs/development/standardization-256.csv"))
+    tasks = "PendulumSwingup", "PointMaze", "ReacherSparse"
+    said = "at most {:.2f} on {}, {:.2f} on {} and {:.2f} on {}"
+    page = text_of("docs/development/README.md")
+    assert said.format(*(part for task in tasks for part in (shares[task], task))) in page
+    rows = rows_of("docs/development/standardization.csv")
+    many = draw_shares([row for row in rows if row["bonus"] == "default"])
+    times = [round(shares[task] / many[task]) for task in tasks]
+    assert (min(times), max(times)) == (2, 5) and "two to five times what it is" in " ".join(
+        page.split()
+    )
 
 
 def test_what_is_said_of_the_standardised_bonuses_is_what_was_measured():
