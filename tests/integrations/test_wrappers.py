@@ -160,7 +160,13 @@ PLAIN = {
 
 
 @pytest.mark.parametrize("kind", [PPO, SAC])
-@pytest.mark.parametrize("make", (CLIPPED | PLAIN).values(), ids=(CLIPPED | PLAIN).keys())
+@pytest.mark.parametrize(
+    "make",
+    [
+        pytest.param(make, marks=pytest.mark.slow if name == "in processes" else (), id=name)
+        for name, make in (CLIPPED | PLAIN).items()
+    ],
+)
 def test_what_is_learned_is_the_raw_successor_of_one_step(kind: type, make: Callable) -> None:
     env = make()
     shown = learned(kind, env)

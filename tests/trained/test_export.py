@@ -41,7 +41,7 @@ RUNNERS = {".pt2": run_torch, ".onnx": run_onnx}
     [
         (".onnx", {}),
         (".onnx", CONDITIONED),
-        (".onnx", RAW),
+        pytest.param(".onnx", RAW, marks=pytest.mark.slow),
         *((".pt2", settings) for settings in RUNS),
     ],
 )
