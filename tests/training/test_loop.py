@@ -14,6 +14,7 @@ import pytest
 import torch
 from gymnasium.vector import AsyncVectorEnv
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.summary.writer import event_file_writer
 
 from deep_curiosity.experiments.runs import read_evaluations
 from deep_curiosity.training import continue_run, environments, loop, train
@@ -507,6 +508,8 @@ def test_another_task_is_refused_and_the_run_kept(tiny, change):
 
 
 def test_a_run_resumed_from_its_first_checkpoint_is_in_tensorboard_once(tiny, monkeypatch):
+    # files of one second are read in the order of their numbers as text, in which 10 is before 9
+    monkeypatch.setattr(event_file_writer, "_global_uid", event_file_writer.AtomicCounter(10))
     config = tiny.override(checkpoint_interval=1_000)
     with monkeypatch.context() as patch:  # killed: nothing is saved any more
         patch.setattr(loop, "_plot", lambda folder: sys.exit(9))
