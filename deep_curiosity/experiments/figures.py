@@ -13,7 +13,13 @@ from matplotlib.figure import Figure
 
 from deep_curiosity.experiments.statistics import Estimate, bootstrap
 from deep_curiosity.experiments.study import Row, Study
-from deep_curiosity.experiments.tables import REACHED, is_missing, one_for_each_run, select
+from deep_curiosity.experiments.tables import (
+    REACHED,
+    is_missing,
+    known_values,
+    one_for_each_run,
+    select,
+)
 
 PANELS_PER_ROW = 3
 LABEL_GAP = 0.06  # of the height of a panel, for a line of the labels beside the curves
@@ -141,7 +147,7 @@ def _plot_column(axes: Axes, study: Study, own: Sequence[Row], column: str) -> N
         _measure(agent, column, runs, one_for_each_run(study, runs))
         for agent in study.agents
         for runs in [[row for row in own if row[study.label] == agent]]
-        if any(not is_missing(row[column]) for row in runs)
+        if known_values(runs, column)
     ]
     title = plain(column.replace("_", " "))
     if _is_named(study):
@@ -169,14 +175,13 @@ def _measure(
     Of what some runs never reach, those that do have no mean: an agent that seldom does would
     have the best one.
     """
-    values = [row[column] for row in rows if not is_missing(row[column])]
-    known = [row[column] for row in runs if not is_missing(row[column])]
+    known = known_values(runs, column)
     is_complete = len(known) == len(runs)
     has_mean = is_complete or column not in REACHED
     return Measured(
         agent,
         f"{agent}" if is_complete else f"{agent}, {len(known)} of {len(runs)}",
-        values,
+        known_values(rows, column),
         bootstrap([known]) if has_mean else Estimate(math.nan, math.nan, math.nan),
     )
 

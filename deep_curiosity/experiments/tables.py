@@ -156,7 +156,7 @@ def one_for_each_run(study: Study, rows: Sequence[Row]) -> list[Row]:
 
 
 def _mean(rows: Sequence[Row], column: str) -> float | None:
-    known = [float(row[column]) for row in rows if not is_missing(row[column])]
+    known = known_values(rows, column)
     return standard.fmean(known) if known else None
 
 
@@ -202,6 +202,11 @@ def _values(rows: Sequence[Row], column: str, where: Mapping[str, Any]) -> list[
 def _is_never(row: Row, column: str) -> bool:
     """Whether a run has not reached what a column has the step of."""
     return is_missing(row[column]) and not (column == "solved_step" and row["solved"] == "")
+
+
+def known_values(rows: Sequence[Row], column: str) -> list[float]:
+    """Numbers of a column, of the rows that have one."""
+    return [float(row[column]) for row in rows if not is_missing(row[column])]
 
 
 def is_missing(value: float | str | None) -> bool:

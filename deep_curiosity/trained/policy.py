@@ -125,8 +125,7 @@ class TrainedPolicy:
         first = first_window(batch, len(self.spaces.action_low), self.num_frames)
         if state is None:
             return first
-        _check_state(state, first.shape, (len(batch), len(self.spaces.action_low)))
-        window, action = (as_float32("state", array) for array in state)
+        window, action = _as_state(state, first.shape, (len(batch), len(self.spaces.action_low)))
         later = next_window(window, action, batch)
         return np.where(begins[:, None], first, later)
 
@@ -290,8 +289,8 @@ def as_batch(name: str, vector: NDArray[Real], dim: int) -> NDArray[Real]:
     return np.atleast_2d(vector)
 
 
-def _check_state(state: Any, *shapes: tuple[int, ...]) -> None:
-    """Reject what is no state: finite windows and actions of such shapes."""
+def _as_state(state: Any, *shapes: tuple[int, ...]) -> list[NDArray[np.float32]]:
+    """A state in single precision: finite windows and actions of such shapes, or it is refused."""
     is_sequence = isinstance(state, Sequence)
     got: Any = [np.shape(array) for array in state] if is_sequence else repr(state)
     if got != [*shapes]:
@@ -299,8 +298,10 @@ def _check_state(state: Any, *shapes: tuple[int, ...]) -> None:
             "`state` must be what the call before returned for as many observations, arrays of "
             f"shapes {shapes[0]} and {shapes[1]}, got {got}."
         )
-    if not all(np.isfinite(as_float32("state", array)).all() for array in state):
+    arrays = [as_float32("state", array) for array in state]
+    if not all(np.isfinite(array).all() for array in arrays):
         raise ValueError(f"`state` must be finite, got {state}.")
+    return arrays
 
 
 def _flags(name: str, value: Numbers | None, batch: int) -> NDArray[np.bool_]:
