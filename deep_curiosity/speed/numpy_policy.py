@@ -42,16 +42,31 @@ class NumpyPolicy:
         self, observation: Float32[np.ndarray, " observation_dim"], noise: np.ndarray
     ) -> Float32[np.ndarray, " action_dim"]:
         """Action in [-1, 1] for standard normal `noise`, one number for each action dimension."""
+        loc, scale = self._gaussian(observation)
+        log_std = in_log_std_range(np.tanh(scale))
+        action: np.ndarray = np.tanh(loc + np.exp(log_std) * noise)
+        return action
+
+    def center(
+        self, observation: Float32[np.ndarray, " observation_dim"]
+    ) -> Float32[np.ndarray, " action_dim"]:
+        """Action in [-1, 1] at the centre of the policy."""
+        loc, _ = self._gaussian(observation)
+        action: np.ndarray = np.tanh(loc)
+        return action
+
+    def _gaussian(
+        self, observation: Float32[np.ndarray, " observation_dim"]
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Centre, and what its width is made of, both until the next call."""
         value = entered = self._scale(observation)
         for (weight, bias), output in zip(self._layers, self._outputs, strict=True):
             if value is not entered:
                 np.maximum(value, 0, out=value)
             value = np.dot(value, weight, out=output)
             value += bias
-        action_dim = len(noise)
-        log_std = in_log_std_range(np.tanh(value[action_dim:]))
-        action: np.ndarray = np.tanh(value[:action_dim] + np.exp(log_std) * noise)
-        return action
+        action_dim = len(value) // 2
+        return value[:action_dim], value[action_dim:]
 
     def _scale(
         self, observation: Float32[np.ndarray, " observation_dim"]

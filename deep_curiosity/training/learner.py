@@ -84,7 +84,7 @@ class Learner:
             device=self.device,
         )
         self.evaluation_policy = make_evaluation_policy(
-            self.agent, self.hunger_controller, self.device
+            config, self.agent, self.hunger_controller, self.device
         )
         self._hunger = torch.full((config.environment.num_envs,), self.agent.hunger)
         self._last_hunger: list[float] = []  # of the controller, as the agent has it
@@ -141,10 +141,8 @@ class Learner:
         greedy = self.greedy_stretches.is_greedy
         if self._numpy_policies is not None:
             noise = self._numpy_noise.normal_().numpy()
-            policy_input = observation[0].astype(np.float32)
-            if self.agent.is_conditioned:
-                policy_input = np.append(policy_input, self._hunger.numpy())
-            return self._numpy_policies[int(greedy[0])].act(policy_input, noise)[None]
+            entered = _numpy_input(self.agent, observation, self._hunger.numpy())
+            return self._numpy_policies[int(greedy[0])].act(entered, noise)[None]
         batch = as_batch(observation).to(self.device)
         hunger = self._hunger.to(self.device)
         if self.noise is None and not greedy.any():
@@ -329,14 +327,7 @@ class Learner:
 
     def _make_numpy_policies(self) -> tuple[NumpyPolicy, NumpyPolicy] | None:
         """Curious and greedy policy in NumPy, if one environment is stepped on the CPU."""
-        applies = (
-            self.config.speed.numpy_policy
-            and self.config.environment.num_envs == 1
-            and self.agent.policy.mixture_components == 1
-            and self.device.type == "cpu"
-            and self.noise is None
-        )
-        if not applies:
+        if not acts_by_numpy(self.config):
             return None
         policy, scaling = self.agent.policy, self.agent.observation_scaling
         return NumpyPolicy(policy, scaling=scaling), NumpyPolicy(policy, 0, scaling=scaling)
@@ -350,11 +341,20 @@ class Learner:
 
 
 def make_evaluation_policy(
+    config: Config,
     agent: CuriousSAC,
     hunger_controller: HungerController,
     device: str | torch.device = "cpu",
 ) -> Policy:
-    """The agent without noise, as it acts for reward, at the hunger of an evaluation."""
+    """The agent without noise, as it acts for reward, at the hunger of an evaluation.
+
+    Args:
+        config: Settings of its run: where that acts by NumPy, a single observation is acted on by
+            NumPy here, too.
+        agent: Which is evaluated, as it then is.
+        hunger_controller: Says how hungry it is.
+        device: Where the agent is.
+    """
 
     def act(observation: Tensor, info: Info) -> Tensor:
         hunger = hunger_controller.in_evaluation(observation.numpy(), info)
@@ -363,7 +363,36 @@ def make_evaluation_policy(
             observation.to(device), deterministic=True, greedy=True, hunger=chosen
         ).cpu()
 
-    return act
+    def act_by_numpy(observation: Tensor, info: Info) -> Tensor:
+        if len(observation) > 1:
+            return act(observation, info)
+        observed = observation.numpy()
+        hunger = hunger_controller.in_evaluation(observed, info)
+        return torch.from_numpy(policy.center(_numpy_input(agent, observed, hunger))[None])
+
+    if not acts_by_numpy(config):
+        return act
+    policy = NumpyPolicy(agent.policy, 0, scaling=agent.observation_scaling)
+    return act_by_numpy
+
+
+def acts_by_numpy(config: Config) -> bool:
+    """Whether a run acts by NumPy: one environment on the CPU, and a policy of one Gaussian."""
+    return (
+        config.speed.numpy_policy
+        and config.environment.num_envs == 1
+        and config.agent.mixture_components == 1
+        and torch.device(config.speed.device).type == "cpu"
+        and config.run.exploration == "policy"
+    )
+
+
+def _numpy_input(agent: CuriousSAC, observation: np.ndarray, hunger: np.ndarray) -> np.ndarray:
+    """What a policy in NumPy is shown of one environment: `(1, observation_dim)` to a vector."""
+    policy_input: np.ndarray = observation[0].astype(np.float32)
+    if agent.is_conditioned:
+        policy_input = np.append(policy_input, hunger.astype(np.float32))
+    return policy_input
 
 
 def compiles(config: Config) -> bool:

@@ -88,7 +88,7 @@ def load_policy(
                 stacklevel=2,
             )
         return make_evaluation_policy(
-            agent, make_hunger_controller(config, agent.observation_dim, agent.action_dim)
+            config, agent, make_hunger_controller(config, agent.observation_dim, agent.action_dim)
         )
     if not isinstance(config.agent.hunger, ConditionedHunger):
         raise ValueError(

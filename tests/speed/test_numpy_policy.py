@@ -14,6 +14,8 @@ def test_it_acts_as_its_policy_does_and_follows_its_updates():
         expected = torch.tanh(policy(observation).component_samples(noise))
         action = numpy_policy.act(observation[0].numpy(), noise[0, 0].numpy())
         torch.testing.assert_close(torch.from_numpy(action), expected[0, 0].detach())
+        center = torch.from_numpy(numpy_policy.center(observation[0].numpy()))
+        torch.testing.assert_close(center, torch.tanh(policy(observation).loc)[0, 0].detach())
         with torch.no_grad():
             policy.network.layers[-1].bias.add_(1)
 

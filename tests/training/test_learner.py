@@ -6,7 +6,7 @@ import torch
 
 from deep_curiosity.training.checkpoint import load_checkpoint
 from deep_curiosity.training.collector import Step
-from deep_curiosity.training.learner import Learner
+from deep_curiosity.training.learner import Learner, make_evaluation_policy
 from deep_curiosity.training.loop import train
 
 
@@ -88,6 +88,30 @@ def test_torch_and_numpy_act_alike_but_for_rounding_where_stretches_are_greedy(t
     by_torch, also_greedy = actions_of(config.override(numpy_policy=False))
     assert 10 < sum(was_greedy) < 50 and was_greedy == also_greedy
     np.testing.assert_allclose(by_torch, by_numpy, atol=1e-5)
+
+
+@pytest.mark.parametrize("hunger", [1.0, "conditioned:0.3"])
+def test_torch_and_numpy_are_evaluated_alike_but_for_rounding(tiny, hunger):
+    config = tiny.override(hunger=hunger)
+    learner, observation = Learner(config, 3, 2), torch.randn(1, 3)
+    by_torch = make_evaluation_policy(
+        config.override(numpy_policy=False), learner.agent, learner.hunger_controller
+    )
+    for _ in range(2):
+        action = learner.evaluation_policy(observation, {})
+        expected = learner.agent.act(observation, deterministic=True, greedy=True, hunger=1.0)
+        torch.testing.assert_close(action, expected)
+        assert torch.equal(by_torch(observation, {}), expected)
+        several = torch.cat([observation, torch.randn(2, 3)])
+        torch.testing.assert_close(learner.evaluation_policy(several, {})[:1], expected)
+        with torch.no_grad():  # as an update does
+            learner.agent.policy.network.layers[-1].bias.add_(0.1)
+
+
+def test_one_environment_is_evaluated_without_torch(tiny, monkeypatch):
+    learner = Learner(tiny, 3, 2)
+    monkeypatch.setattr(learner.agent, "act", None)
+    assert learner.evaluation_policy(torch.zeros(1, 3), {}).shape == (1, 2)
 
 
 @pytest.mark.parametrize("components", [1, 3])
