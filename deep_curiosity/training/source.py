@@ -8,7 +8,11 @@ from pathlib import Path
 @cache
 def source_commit() -> str:
     """Commit of the checkout that this package runs from, `+` where it was changed; else empty."""
-    folder = Path(__file__).parents[2]
+    return commit_of(Path(__file__).parents[2])
+
+
+def commit_of(folder: Path) -> str:
+    """Commit of a checkout of this package, `+` where it was changed; empty where it is none."""
     if not (folder / ".git").exists():
         return ""
     git = ["git", "-C", str(folder)]
