@@ -72,6 +72,25 @@ memory is the largest resident memory of the process. A million transitions of r
 """
 
 
+def narrow_section(out: Path) -> str:
+    """The same of narrow networks."""
+    rows = read_rows(out / "narrow.csv")
+    processes = {row["runner"]: row for row in read_rows(out / "narrow_processes.csv")}
+    return f"""## Narrow networks
+
+The same agents with two layers of 64 (`--hidden-dim 64`), as for tasks of few dimensions. Matrix
+products are a smaller part of these updates, and what lies around them is a larger one.
+
+![Environment steps per second](narrow.png)
+
+{rates_table(rows, processes)}
+
+{stages_table(rows)}
+
+{floor_table(rows)}
+"""
+
+
 def rates_table(rows: Sequence[Row], processes: dict[str, Row]) -> str:
     """Steps per second, ratios to other libraries' agents, time to the first update, memory."""
     groups = {str(name): own for (name,), own in grouped(rows, "runner").items()}

@@ -29,16 +29,16 @@ ENSEMBLE: dict[str, Any] = {
 """Of MaxInfoSAC, as its authors train it on dm_control."""
 
 
-def installed_peers(env_id: str) -> dict[str, Callable[[], Runner]]:
+def installed_peers(env_id: str, hidden_dim: int = 256) -> dict[str, Callable[[], Runner]]:
     """What makes the runner of each peer that is installed, by its label with its version."""
     return {
-        f"{label} {_version(package)}": partial(import_runner, address, env_id)
+        f"{label} {_version(package)}": partial(import_runner, address, env_id, hidden_dim)
         for label, (package, address) in ADDRESSES.items()
         if find_spec(package) is not None
     }
 
 
-def make_sbx(env_id: str) -> Runner:
+def make_sbx(env_id: str, hidden_dim: int = 256) -> Runner:
     """SBX's soft actor-critic, compiled by JAX, on one thread.
 
     Raises:
@@ -47,10 +47,11 @@ def make_sbx(env_id: str) -> Runner:
     from deep_curiosity.benchmark.stable_baselines import StableBaselines
 
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {ONE_THREAD}".strip()
-    return StableBaselines(env_id, agent_class=importlib.import_module(SBX).SAC)
+    agent_class = importlib.import_module(SBX).SAC
+    return StableBaselines(env_id, hidden_dim=hidden_dim, agent_class=agent_class)
 
 
-def make_max_info(env_id: str) -> Runner:
+def make_max_info(env_id: str, hidden_dim: int = 256) -> Runner:
     """MaxInfoRL's soft actor-critic, on Stable-Baselines3's, with torch's own precision.
 
     Raises:
@@ -59,7 +60,12 @@ def make_max_info(env_id: str) -> Runner:
     from deep_curiosity.benchmark.stable_baselines import StableBaselines
 
     agent_class = importlib.import_module(f"{MAX_INFO}.commons").MaxInfoSAC
-    return StableBaselines(env_id, agent_class=agent_class, ensemble_model_kwargs=ENSEMBLE)
+    return StableBaselines(
+        env_id,
+        hidden_dim=hidden_dim,
+        agent_class=agent_class,
+        ensemble_model_kwargs=ENSEMBLE | {"features": (hidden_dim, hidden_dim)},
+    )
 
 
 def _version(package: str) -> str:

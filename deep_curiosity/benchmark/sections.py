@@ -45,7 +45,9 @@ TIMED_TASKS = [  # one of each body: the other tasks move the same ones
     for name in ("PendulumSwingup", "CartpoleSwingup", "PointMaze", "ReacherSparse")
 ]
 
-STEPPED = ("agents", "switches", "cuda")
+NARROW = 64  # wide, as for tasks of few dimensions
+
+STEPPED = ("agents", "narrow", "switches", "cuda")
 """Sections in which agents take steps of an environment, as many as are set."""
 
 Tables = dict[str, list[Row]]
@@ -63,7 +65,17 @@ class Benchmark(Group):
     out: Path = Path("docs/benchmark")
     """Folder for tables, pictures and their README.md."""
     only: (
-        Literal["agents", "switches", "bonus", "scaling", "vector", "slow", "adapters", "cuda"]
+        Literal[
+            "agents",
+            "narrow",
+            "switches",
+            "bonus",
+            "scaling",
+            "vector",
+            "slow",
+            "adapters",
+            "cuda",
+        ]
         | None
     ) = None
     """One section; the page keeps what is there of the others."""
@@ -115,23 +127,48 @@ class LeftOutError(Exception):
 
 def measure_all_agents(benchmark: Benchmark) -> Tables:
     """Ours, compiled and eager, Stable-Baselines3's, with its precision and ours, and peers."""
-    precision = torch.get_float32_matmul_precision()
-    own = {
-        f"{name}, {how}": config.override(compile=switch, matmul_precision=precision)
-        for name, config in AGENTS.items()
-        for how, switch in COMPILE.items()
-    }
+    own = own_agents()
     runners: dict[str, Callable[[], Runner]] = {
         **{name: partial(OwnAgent, config) for name, config in own.items()},
-        page.AS_USED: partial(import_runner, STABLE_BASELINES, ENV_ID, "highest"),
-        page.SAME_PRECISION: partial(import_runner, STABLE_BASELINES, ENV_ID, precision),
-        **installed_peers(ENV_ID),
+        **others(),
         **{name: partial(import_runner, address) for name, address in benchmark.peers.items()},
     }
     rows, processes = measure_agents(
         runners, own, repeats=benchmark.repeats, steps=benchmark.steps
     )
     return {"agents": rows, "processes": processes}
+
+
+def measure_narrow_agents(benchmark: Benchmark) -> Tables:
+    """The same with narrow networks."""
+    own = {name: config.override(hidden_dim=NARROW) for name, config in own_agents().items()}
+    runners: dict[str, Callable[[], Runner]] = {
+        **{name: partial(OwnAgent, config) for name, config in own.items()},
+        **others(NARROW),
+    }
+    rows, processes = measure_agents(
+        runners, own, repeats=benchmark.repeats, steps=benchmark.steps
+    )
+    return {"narrow": rows, "narrow_processes": processes}
+
+
+def own_agents() -> dict[str, Config]:
+    """Ours, compiled and eager, with the precision that this process has."""
+    precision = torch.get_float32_matmul_precision()
+    return {
+        f"{name}, {how}": config.override(compile=switch, matmul_precision=precision)
+        for name, config in AGENTS.items()
+        for how, switch in COMPILE.items()
+    }
+
+
+def others(hidden_dim: int = 256) -> dict[str, Callable[[], Runner]]:
+    """Stable-Baselines3's, as used and with our precision, and peers that are installed."""
+    precision = torch.get_float32_matmul_precision()
+    return {
+        name: partial(import_runner, STABLE_BASELINES, ENV_ID, its_precision, "cpu", hidden_dim)
+        for name, its_precision in ((page.AS_USED, "highest"), (page.SAME_PRECISION, precision))
+    } | installed_peers(ENV_ID, hidden_dim)
 
 
 def measure_all_switches(benchmark: Benchmark) -> Tables:
@@ -204,6 +241,7 @@ def measure_cuda(benchmark: Benchmark) -> Tables:
 
 SECTIONS = {
     "agents": Section(measure_all_agents, page.agents_section, {"agents": figures.plot_agents}),
+    "narrow": Section(measure_narrow_agents, page.narrow_section, {"narrow": figures.plot_agents}),
     "switches": Section(
         measure_all_switches, page.switches_section, {"switches": figures.plot_switches}
     ),

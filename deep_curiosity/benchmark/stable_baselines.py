@@ -24,6 +24,7 @@ class StableBaselines:
         env_id: Task.
         precision: Of matrix products; torch's own default is `"highest"`.
         device: Of networks and updates.
+        hidden_dim: Width of both layers.
         agent_class: Stable-Baselines3's agent, or one that is built as it is.
         **options: Further arguments of the agent.
     """
@@ -33,6 +34,7 @@ class StableBaselines:
         env_id: str,
         precision: MatmulPrecision = "highest",
         device: str = "cpu",
+        hidden_dim: int = 256,
         *,
         agent_class: type[OffPolicyAlgorithm] = SAC,
         **options: Any,
@@ -45,6 +47,7 @@ class StableBaselines:
             learning_starts=0,
             seed=0,
             device=device,
+            policy_kwargs={"net_arch": [hidden_dim, hidden_dim]},
             **options,
         )
 

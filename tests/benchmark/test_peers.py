@@ -59,6 +59,16 @@ def test_every_peer_that_is_installed_takes_steps(installed, monkeypatch):
     assert agents[1].ensemble_model_kwargs == ENSEMBLE
 
 
+def test_a_peer_is_as_wide_as_is_asked(installed, monkeypatch):
+    peers = installed_peers(TASK, 16)
+    for name, module in installed.items():
+        monkeypatch.setitem(sys.modules, name, module)
+    for make in peers.values():
+        agent = make()._agent
+        assert agent.actor.latent_pi[0].out_features == 16
+    assert agent.ensemble_model_kwargs["features"] == (16, 16)
+
+
 def test_jax_has_one_thread_and_what_the_user_set(installed, monkeypatch):
     peers = installed_peers(TASK)
     monkeypatch.setitem(sys.modules, "sbx", installed["sbx"])

@@ -3,7 +3,7 @@ from typing import get_args, get_type_hints
 import pytest
 import torch
 
-from deep_curiosity.benchmark import run
+from deep_curiosity.benchmark import run, sections
 from deep_curiosity.benchmark.run import note_machine, run_benchmark, write_page
 from deep_curiosity.benchmark.sections import SECTIONS, Benchmark, LeftOutError, Section
 from deep_curiosity.benchmark.tables import read_rows
@@ -39,6 +39,23 @@ def test_a_section_leaves_its_tables_and_its_text(tmp_path, monkeypatch, capsys)
 def test_without_a_gpu_its_section_is_left_out(tmp_path, capsys):
     run_benchmark(Benchmark(out=tmp_path, only="cuda"), "make bench")
     assert "cuda: left out, torch sees no GPU" in capsys.readouterr().out
+
+
+def test_narrow_agents_are_all_of_one_width(monkeypatch):
+    given = {}
+
+    def measure(runners, own, *, repeats, steps):
+        given.update(runners=runners, own=own)
+        return [], []
+
+    monkeypatch.setattr(sections, "measure_agents", measure)
+    tables = sections.measure_narrow_agents(Benchmark(only="narrow"))
+    assert list(tables) == ["narrow", "narrow_processes"]
+    assert {config.agent.hidden_dim for config in given["own"].values()} == {64}
+    theirs = [runner for name, runner in given["runners"].items() if name not in given["own"]]
+    assert len(theirs) >= 2 and all(runner.args[-1] == 64 for runner in theirs)
+    for name, config in given["own"].items():
+        assert given["runners"][name].args == (config,)
 
 
 def test_a_machine_is_noted_once_for_each_section(tmp_path):
