@@ -1,7 +1,7 @@
 """Time from the start of a command until its agent has solved a task, beside other checkouts'.
 
     git worktree add /tmp/before 010a659
-    python -m deep_curiosity.benchmark.solved --checkouts default . before /tmp/before
+    python -m deep_curiosity.benchmark.solved --beside before /tmp/before
 
 What is run is `scripts/train.py` of each checkout with its own defaults and narrow networks, in a
 process of its own that finds nothing compiled: imports, compiling and evaluations are counted.
@@ -40,14 +40,17 @@ from deep_curiosity_envs.ids import registered_id
 TASKS = (PENDULUM, MAZE, MOUNTAIN_CAR)
 LOOKING_SECONDS = 0.5  # from one look at a run's evaluations to the next
 ENDINGS = (".csv", ".md", ".png")
+OWN = "default"
+"""Name of this checkout."""
 
 
 @dataclass(frozen=True)
 class Args:
     """What is timed, and where to."""
 
-    checkouts: dict[str, Path] = field(default_factory=lambda: {"default": Path()})
-    """Name and folder of each; those of a task and seed have their turns one after another."""
+    beside: dict[str, Path] = field(default_factory=dict)
+    """Name and folder of other checkouts, which have their turn at every task and seed after this
+    one's default."""
     seeds: int = 10
     """Runs of each on every task."""
     workers: int = 2
@@ -58,11 +61,11 @@ class Args:
     def __post_init__(self) -> None:
         """Refuse what cannot be timed."""
         check_counts(seeds=self.seeds, workers=self.workers)
-        for name, folder in self.checkouts.items():
-            if not (folder / "scripts" / "train.py").is_file():
+        for name, folder in self.beside.items():
+            if name == OWN or not (folder / "scripts" / "train.py").is_file():
                 raise ValueError(
-                    f"`checkouts` must each be a name and the folder of one, got {name} {folder}, "
-                    "which has no scripts/train.py."
+                    f"`beside` must each be a name of its own, and the folder of a checkout with "
+                    f"scripts/train.py, got {name} {folder}."
                 )
 
 
@@ -155,22 +158,20 @@ def _plot_share(axes: Axes, name: str, runs: Sequence[Row]) -> None:
 def main(args: Args) -> None:
     """Time all runs, and write a row for each as it comes."""
     check_outputs(args.out, ENDINGS, column="task", owner="this timing")
+    checkouts = {OWN: Path(__file__).parents[2], **args.beside}
     turns = [
-        (task, name, seed)
-        for seed in range(args.seeds)
-        for task in TASKS
-        for name in args.checkouts
+        (task, name, seed) for seed in range(args.seeds) for task in TASKS for name in checkouts
     ]
     rows: list[Row] = []
     with ThreadPoolExecutor(args.workers) as executor:
         timed = [
-            executor.submit(time_to_solved, args.checkouts[name], task, seed)
+            executor.submit(time_to_solved, checkouts[name], task, seed)
             for task, name, seed in turns
         ]
         try:
             for (task, name, seed), future in zip(turns, timed, strict=True):
                 row = {"task": task.name, "checkout": name, "seed": seed, **future.result()}
-                rows.append(row | {"commit": commit_of(args.checkouts[name])})
+                rows.append(row | {"commit": commit_of(checkouts[name])})
                 write_table(output_path(args.out, ".csv"), rows)
                 print(row, flush=True)
         except BaseException:

@@ -64,14 +64,15 @@ def test_the_flags_say_what_the_task_is(task, tmp_path):
 
 def test_every_checkout_has_its_turns_and_a_row_for_each(checkout, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(solved, "TASKS", (EASY, PENDULUM))
-    checkouts = {"now": checkout(last=70.0), "before": checkout(last=60.0)}
+    here = checkout(last=70.0)
+    monkeypatch.setattr(solved, "__file__", str(here / "package" / "benchmark" / "solved.py"))
     out = tmp_path / "solved"
-    solved.main(Args(checkouts, seeds=2, workers=1, out=out))
+    solved.main(Args({"before": checkout(last=60.0)}, seeds=2, workers=1, out=out))
     rows = read_table(tmp_path / "solved.csv")
     assert [(row["task"], row["checkout"], row["seed"]) for row in rows[:4]] == [
-        (EASY.name, "now", "0"),
+        (EASY.name, "default", "0"),
         (EASY.name, "before", "0"),
-        (PENDULUM.name, "now", "0"),
+        (PENDULUM.name, "default", "0"),
         (PENDULUM.name, "before", "0"),
     ]
     assert [row["step"] for row in rows] == ["2000", "3000", "", ""] * 2
@@ -82,13 +83,17 @@ def test_every_checkout_has_its_turns_and_a_row_for_each(checkout, tmp_path, mon
 
 
 def test_a_run_that_never_solves_counts_as_slower_than_any():
-    row = {"task": "a", "checkout": "now"}
+    row = {"task": "a", "checkout": "default"}
     rows = [row | {"seconds": seconds} for seconds in (4.0, None, 8.0)]
-    assert summary_of(rows).splitlines()[-1] == "| a | now | 2 of 3 | 8 [4, never] |"
+    assert summary_of(rows).splitlines()[-1] == "| a | default | 2 of 3 | 8 [4, never] |"
 
 
-def test_a_folder_without_the_command_is_no_checkout(tmp_path):
-    with pytest.raises(ValueError, match="`checkouts` must each be a name and the folder of one"):
+def test_another_checkout_has_the_command_and_a_name_of_its_own(checkout, tmp_path):
+    with pytest.raises(ValueError, match="got default "):
+        Args({"default": checkout(last=1.0)})
+    with pytest.raises(
+        ValueError, match="`beside` must each be a name of its own, and the folder"
+    ):
         Args({"mine": tmp_path})
     with pytest.raises(ValueError, match="`seeds` must be at least 1, got 0"):
         Args(seeds=0)
