@@ -4,7 +4,8 @@
     python -m deep_curiosity.benchmark.solved --beside before /tmp/before
 
 What is run is `scripts/train.py` of each checkout with its own defaults and narrow networks, in a
-process of its own that finds nothing compiled: imports, compiling and evaluations are counted.
+process of its own: imports, compiling and evaluations are counted. What a checkout has compiled it
+finds again in its later runs, as on the machine of a user.
 """
 
 import os
@@ -69,8 +70,14 @@ class Args:
                 )
 
 
-def time_to_solved(checkout: Path, task: Task, seed: int) -> Row:
+def time_to_solved(checkout: Path, task: Task, seed: int, cache: Path) -> Row:
     """Seconds and steps until an evaluation reaches what counts as solved; none where none does.
+
+    Args:
+        checkout: Folder with `scripts/train.py`.
+        task: With what counts as solved.
+        seed: Of the run.
+        cache: Folder for what is compiled.
 
     Raises:
         RuntimeError: If the run fails, with what it said.
@@ -79,7 +86,7 @@ def time_to_solved(checkout: Path, task: Task, seed: int) -> Row:
         out, said = Path(folder) / "run", Path(folder) / "said.txt"
         environment = os.environ | {
             "PYTHONPATH": f"{checkout.resolve()}:{checkout.resolve() / 'envs'}",
-            "TORCHINDUCTOR_CACHE_DIR": f"{folder}/compiled",
+            "TORCHINDUCTOR_CACHE_DIR": str(cache),
         }
         command = [sys.executable, "scripts/train.py", *flags_of(task, seed), "--out", str(out)]
         with said.open("w") as output:
@@ -163,9 +170,9 @@ def main(args: Args) -> None:
         (task, name, seed) for seed in range(args.seeds) for task in TASKS for name in checkouts
     ]
     rows: list[Row] = []
-    with ThreadPoolExecutor(args.workers) as executor:
+    with TemporaryDirectory() as caches, ThreadPoolExecutor(args.workers) as executor:
         timed = [
-            executor.submit(time_to_solved, checkouts[name], task, seed)
+            executor.submit(time_to_solved, checkouts[name], task, seed, Path(caches, name))
             for task, name, seed in turns
         ]
         try:

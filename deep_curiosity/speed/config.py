@@ -15,7 +15,8 @@ class SpeedConfig(Group):
     threads: int = setting(1, at_most=1_024)
     """CPU threads of torch; two are often slower than one for networks of this size."""
     compile: Literal["auto", "on", "off"] = "auto"
-    """Compile the updates, which takes half a minute; auto does so in long runs, after some."""
+    """Compile the updates, which takes half a minute, seconds where a run of the same sizes was
+    compiled before; auto does so in long runs, after some."""
     matmul_precision: Literal["auto", "highest", "high", "medium"] = "auto"
     """Torch's switch for float32 matrix products; auto takes the highest, or one that is float32
     on this machine as well and much faster."""

@@ -26,8 +26,24 @@ def direct_matmul() -> dict[str, Any]:
     # what is meant to declare functions beside torch's stands at the head of the code, after an
     # `extern`: there it can define one, which takes the place of torch's
     definition = Path(__file__).with_suffix(".cpp").read_text()
-    return {
-        "aot_inductor.custom_ops_to_c_shims": {
-            torch.ops.aten.bmm.default: [f'"C++" {{\n{definition}}}']
-        }
-    }
+    # the comment keeps apart what a cache holds of the CPUs that share it
+    head = f"// {torch.backends.cpu.get_cpu_capability()}"
+    return {"aot_inductor.custom_ops_to_c_shims": Definitions(f'"C++" {{ {head}\n{definition}}}')}
+
+
+class Definitions(dict[Any, list[str]]):
+    """What takes the place of an operation, by the operation, pickled by its text alone.
+
+    Torch's cache of compiled graphs has a key of all options that can be pickled; for an operation
+    it has none, and would compile the same update anew in every process.
+
+    Args:
+        text: Of the batched product.
+    """
+
+    def __init__(self, text: str) -> None:
+        super().__init__({torch.ops.aten.bmm.default: [text]})
+        self._text = text
+
+    def __reduce__(self) -> tuple[type["Definitions"], tuple[str]]:
+        return Definitions, (self._text,)

@@ -648,7 +648,11 @@ def _print_machine(config: Config) -> None:
     """Say how the run computes."""
     precision, device = config.speed.matmul_precision, config.speed.device
     start = compiles_from(config)
-    how = "eager" if start is None else f"compiled from step {start}, which takes half a minute"
+    how = (
+        "eager"
+        if start is None
+        else f"compiled from step {start}, which takes up to half a minute"
+    )
     error = matmul_error(device)
     print(f"Matrix products {precision}, relative error {error:.1e}; updates {how}", flush=True)
 

@@ -38,20 +38,23 @@ def checkout(tmp_path):
 EASY = replace(MOUNTAIN_CAR, solved_return=70.0)
 
 
-def test_a_run_is_timed_until_its_first_evaluation_that_is_enough_and_ended(checkout):
-    measured = time_to_solved(checkout(last=70.0, seconds=600), EASY, 0)
+def test_a_run_is_timed_until_its_first_evaluation_that_is_enough_and_ended(checkout, tmp_path):
+    measured = time_to_solved(checkout(last=70.0, seconds=600), EASY, 0, tmp_path)
     assert measured["step"] == 2000 and 0 < measured["seconds"] < 60
 
 
-def test_a_run_that_does_not_solve_its_task_has_no_time(checkout):
+def test_a_run_that_does_not_solve_its_task_has_no_time(checkout, tmp_path):
     hard = replace(EASY, solved_return=99.5)
-    assert time_to_solved(checkout(last=71.0), hard, 0) == {"seconds": None, "step": None}
+    assert time_to_solved(checkout(last=71.0), hard, 0, tmp_path) == {
+        "seconds": None,
+        "step": None,
+    }
 
 
-def test_a_run_that_fails_is_told_with_what_it_said(checkout):
+def test_a_run_that_fails_is_told_with_what_it_said(checkout, tmp_path):
     folder = checkout(last="nan", status="'no such task'")
     with pytest.raises(RuntimeError, match="must train, but said: no such task"):
-        time_to_solved(folder, replace(EASY, solved_return=math.inf), 0)
+        time_to_solved(folder, replace(EASY, solved_return=math.inf), 0, tmp_path)
 
 
 @pytest.mark.parametrize("task", [PENDULUM, MAZE, MOUNTAIN_CAR], ids=lambda task: task.name)

@@ -1,5 +1,8 @@
 """Products of compiled updates against torch's own, where this CPU has the kernel for them."""
 
+import copy
+import pickle
+
 import pytest
 import torch
 
@@ -68,6 +71,37 @@ def test_products_are_those_of_the_matrices_however_they_lie_in_memory():
     )
     assert int(batches) + int(matrices) == len(compared)
     assert compared == [f"{name}: True" for name in [*OPERANDS, "float64"]]
+
+
+CACHED = """
+import torch
+from torch._dynamo.utils import counters
+from deep_curiosity.speed.matmul import direct_matmul
+
+torch.set_num_threads(1)
+options = {"cpp_wrapper": True, **direct_matmul()}
+product = torch.compile(lambda left, right: left @ right, options=options)
+print(product(torch.ones(2, 3, 4), torch.ones(2, 4, 5)).sum().item())
+print(counters["inductor"]["fxgraph_cache_hit"], counters["inductor"]["fxgraph_cache_bypass"])
+"""
+
+
+@pytest.mark.slow
+def test_what_was_compiled_is_found_again_by_the_next_process(tmp_path, monkeypatch):
+    monkeypatch.setenv("TORCHINDUCTOR_CACHE_DIR", str(tmp_path))
+    assert output_of(CACHED) == ["120.0", "0 0"]
+    assert output_of(CACHED) == ["120.0", "1 0"]
+
+
+@pytest.mark.usefixtures("on_one_thread")
+def test_options_are_pickled_by_their_text_and_the_cpu(monkeypatch):
+    """As torch's cache of compiled graphs does, which machines may share."""
+    options, written = direct_matmul(), pickle.dumps(direct_matmul())
+    assert pickle.loads(written) == options == copy.deepcopy(options)
+    monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda: INSTRUCTIONS[0])
+    other = pickle.dumps(direct_matmul())
+    monkeypatch.setattr(torch.backends.cpu, "get_cpu_capability", lambda: INSTRUCTIONS[1])
+    assert other != pickle.dumps(direct_matmul())
 
 
 @pytest.mark.usefixtures("on_one_thread")
