@@ -4,9 +4,8 @@ python -m deep_curiosity.benchmark.engines --steps 8000
 
 A machine whose speed drifts tells workers apart only where their turns are short:
 
-python -m deep_curiosity.benchmark.engines --steps 8000 --rounds 5 --runs 4 \
-    --runners "local, 1 worker" "local, 2 workers" "processes, 2" \
-    --out docs/benchmark/engines_short.csv
+python -m deep_curiosity.benchmark.engines --steps 6000 --rounds 5 --runs 8 \
+    --runners "local, 1 worker" "local, 2 workers" --out docs/benchmark/engines_eight.csv
 """
 
 from collections.abc import Callable, Sequence

@@ -75,19 +75,27 @@ def test_what_is_said_of_quick_steps_and_of_updates_is_what_was_measured():
 
 
 def test_what_is_said_of_engines_is_what_was_measured():
-    short, long = (read_rows(BENCHMARK / f"{name}.csv") for name in ("engines_short", "engines"))
-    two, bare, longer = (
+    eight, short, long = (
+        read_rows(BENCHMARK / f"engines{name}.csv") for name in ("_eight", "_short", "")
+    )
+    of_eight, of_four, bare, longer = (
         [rate_over(rows, "local, 1 worker")(row) for row in rows if row["runner"] == runner]
         for rows, runner in (
+            (eight, "local, 2 workers"),
             (short, "local, 2 workers"),
             (short, "processes, 2"),
             (long, "local, 2 workers"),
         )
     )
-    assert_said(f"In {len(two)} rounds")
-    assert_said(f"two workers do {median_and_ends(two)}".replace("times", "times what one does"))
-    assert_said(f"two processes without an engine {median_and_ends(bare)}")
+    done = median_and_ends(of_eight).replace("times", "times what one does")
+    assert_said(f"In {len(of_eight)} rounds of eight runs")
+    assert_said(f"two workers do {done}")
+    assert_said(f"in {len(of_four)} rounds of four")
+    assert_said(f"it is {median_and_ends(of_four)}")
+    assert_said(f"without an engine do {median_and_ends(bare)}".replace("times", "times as much"))
     assert_said(f"it is {median_and_ends(longer)}")
+    every = [*of_eight, *of_four, *longer]
+    assert_said(f"Over all {len(every)} rounds the median is {statistics.median(every):.2f}.")
     of_local = rate_over(long, "local, 2 workers")
     more = sorted(100 / of_local(row) - 100 for row in long if row["runner"] == "ray, 2 workers")
     assert_said(
