@@ -7,6 +7,7 @@ import statistics
 import numpy as np
 import pytest
 
+from deep_curiosity.benchmark.solved import summary_of
 from deep_curiosity.benchmark.tables import grouped, median, rate_over, read_rows
 from deep_curiosity.experiments.statistics import (
     bootstrap,
@@ -745,3 +746,38 @@ def test_what_is_said_of_the_standardised_bonuses_is_what_was_measured():
     wide = draw_shares(read_rows(ROOT / "docs/development/standardization-overlap.csv"))
     *first, last = (f"{wide[task]:.2f} on {task}" for task in sorted(wide, key=wide.get)[-3:])
     assert f"it is at most {', '.join(first)} and {last}" in text
+
+
+def test_times_to_solved_are_those_of_the_table():
+    rows = [
+        row | {"seconds": row["seconds"] if row["seconds"] != "" else math.inf}
+        for row in rows_of("docs/benchmark/solved.csv")
+    ]
+    seconds = {
+        key: median(own, "seconds") for key, own in grouped(rows, "task", "checkout").items()
+    }
+    solved = {
+        key: sum(math.isfinite(row["seconds"]) for row in own)
+        for key, own in grouped(rows, "task", "checkout").items()
+    }
+    tasks = "MountainCarContinuous-v0", "PointMaze", "PendulumSwingup"
+    car, maze, pendulum = (seconds[task, "default"] for task in tasks)
+    said = (
+        f"{car:.0f} s on {tasks[0]}, {maze:.0f} s on {tasks[1]} and {pendulum:.0f} s on {tasks[2]}"
+    )
+    assert said in README
+    total = sum(solved[task, "default"] for task in tasks)
+    assert f"all {total} runs get there" in README and total == len(rows) / 2
+    page = text_of("docs/study/README.md")
+    of_maze = solved["PointMaze", "default"], solved["PointMaze", "before"]
+    for sentence in (
+        f"after {maze:.0f} s, where it took {seconds['PointMaze', 'before']:.0f} s",
+        "in {} runs of 10 instead of {}".format(*of_maze),
+        f"after {car:.0f} s, where it took {seconds[tasks[0], 'before']:.0f} s",
+        f"than it did, {pendulum:.0f} s in the place of {seconds[tasks[2], 'before']:.0f} s",
+    ):
+        assert sentence in page
+    commits = {str(row["checkout"]): str(row["commit"])[:7] for row in rows}
+    assert f"`{commits['default']}`) beside that of `{commits['before']}`" in page
+    summary = (ROOT / "docs/benchmark/solved.md").read_text()
+    assert summary == summary_of(rows_of("docs/benchmark/solved.csv")) + "\n"
