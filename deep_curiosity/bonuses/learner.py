@@ -67,6 +67,11 @@ class BonusLearner(nn.Module):
             TypeError: If it is no `Transition`, or the policy cannot be called.
             RuntimeError: In inference mode, if there is something to learn.
         """
+        self.show(transition, policy)
+        self.train_on(transition)
+
+    def show(self, transition: Transition, policy: Policy | None = None) -> None:
+        """Show the bonus a batch, of which its networks learn nothing; otherwise as `learn`."""
         check_transition_kind(transition)
         self._check_mode()
         observes = not self.bonus.should_skip
@@ -75,13 +80,12 @@ class BonusLearner(nn.Module):
         if observes and not self._has_warned:
             fresh = [] if watched is None else watched.actions
             self._look_at_unit(transition.action, *fresh)
-        self.train_on(transition)
 
     def train_on(self, transition: Transition) -> None:
-        """Take a gradient step at every `update_interval`-th call; the bonus has seen the batch.
+        """Take a gradient step at every `update_interval`-th call; the bonus is not shown the batch.
 
         Args:
-            transition: A batch that was shown before, such as in another epoch of a rollout.
+            transition: A batch that was shown before, or will be, such as a part of a rollout.
 
         Raises:
             RuntimeError: In inference mode, if there is something to learn.

@@ -25,6 +25,8 @@ from stable_baselines3.common.vec_env import (
 from torch import Tensor, nn
 
 from deep_curiosity.bonuses.base import Bonus, Policy
+from deep_curiosity.bonuses.curiosity import CuriosityBonus
+from deep_curiosity.bonuses.frozen import FrozenBonus
 from deep_curiosity.bonuses.registry import BONUSES
 from deep_curiosity.integrations.stable_baselines3 import (
     CuriosityCallback,
@@ -706,11 +708,17 @@ def test_of_a_dictionary_in_a_rollout_the_bonus_is_given_one_entry() -> None:
     assert torch.equal(rollout.next_observation[:, 0], rollout.observation[:, 0] + 1)
 
 
-def test_the_bonus_goes_through_a_rollout_in_minibatches_and_observes_every_step_once() -> None:
+@pytest.mark.parametrize(("ready", "shown"), [(True, [20]), (False, [8, 12])])
+def test_the_bonus_goes_through_a_rollout_in_minibatches_and_observes_every_step_once(
+    monkeypatch: pytest.MonkeyPatch, ready: bool, shown: list[int]
+) -> None:
+    monkeypatch.setattr(Time, "ready", ready)
     bonus = Time(learns=True)
     agent = make_rollout_agent(bonus=bonus, batch_size=8, epochs=3)
     agent.learn(20, callback=CuriosityCallback())
-    assert [len(batch.reward) for batch in bonus.observed] == [8, 8, 4]
+    assert [len(batch.reward) for batch in bonus.observed] == shown
+    for batch, action in zip(bonus.observed, bonus.fresh_actions, strict=True):
+        assert torch.equal(batch.action, action)
     assert bonus.factor.item() == pytest.approx(1 + 3 * 3 * 1e-3)  # Adam's steps, three an epoch
     times = torch.cat([batch.observation[:, 0] for batch in bonus.observed])
     assert torch.equal(
@@ -727,6 +735,89 @@ def test_two_callbacks_on_a_rollout_are_one_too_many() -> None:
     callbacks = [CuriosityCallback(), CuriosityCallback()]
     with pytest.raises(RuntimeError, match=r"20 steps has 40 .*give one CuriosityCallback only"):
         make_rollout_agent().learn(20, callback=callbacks)
+
+
+def test_a_rollout_is_paid_a_bonus_that_is_centred_over_it_and_scaled() -> None:
+    """None of its states is a component when it is scored, and all are scored alike."""
+    paid = []
+
+    class Watched(CuriousRolloutBuffer):
+        def compute_returns_and_advantage(self, last_values: Tensor, dones: np.ndarray) -> None:
+            super().compute_returns_and_advantage(last_values, dones)
+            paid.append(self.attachment.compute(self.transition()) / 0.1)
+
+    agent = PPO(
+        "MlpPolicy",
+        "HalfCheetah-v5",
+        n_steps=1_024,
+        n_epochs=1,
+        seed=0,
+        rollout_buffer_class=Watched,
+        rollout_buffer_kwargs={"bonus_kwargs": {"hidden_dims": (16,)}},
+        device="cpu",
+    )
+    agent.learn(4 * 1_024, callback=CuriosityCallback(log_interval=10_000))
+    for bonus in paid[1:]:
+        assert bonus.mean().abs() < 0.1 and 0.8 < bonus.std() < 1.25
+
+
+def test_a_bonus_of_ones_own_looks_at_rollouts_at_its_pace_in_minibatches() -> None:
+    observed = []
+
+    class Watched(CuriosityBonus):
+        def observe(self, transition: Transition, *args: Any) -> None:
+            observed.append(not self.should_skip)
+            super().observe(transition, *args)
+
+    parts = CuriosityBonus.default(2, 1, hidden_dims=(8,), refresh_interval=5)
+    bonus = Watched(parts.dynamics, parts.marginal, refresh_interval=5)
+    agent = make_rollout_agent(bonus=bonus, batch_size=10)
+    agent.learn(120, callback=CuriosityCallback())
+    # the first rollout in two parts, each later one whole: calls 0, 1; 3; 5; 7; 9; 10
+    assert observed == [True, False, False, True, False, False, True]
+
+
+@pytest.mark.parametrize("tuned", [1e4, "past"])
+def test_the_weight_of_a_bonus_is_tuned_by_rollouts(tuned: float | str) -> None:
+    agent = make_rollout_agent(bonus="curiosity", bonus_kwargs={"tune_bonus_weight": tuned})
+    agent.learn(200, callback=CuriosityCallback())
+    assert agent.rollout_buffer.bonus.tuned_weight.factor.item() != 1
+
+
+def make_replay_agent(**options: Any) -> Any:
+    return make_agent(options=options)
+
+
+@pytest.mark.parametrize("make", [make_replay_agent, make_rollout_agent])
+def test_a_bonus_that_could_not_be_computed_here_is_refused_at_once(
+    make: Callable[..., Any],
+) -> None:
+    small = {"hidden_dims": (8,), "num_members": 2}
+    for sizes in ((3, 1), (2, 2)):
+        with pytest.raises(ValueError, match=r"`bonus` must be for spaces with .*observation_dim"):
+            make(bonus=CuriosityBonus.default(*sizes, **small))
+    frozen = FrozenBonus(CuriosityBonus.default(2, 1, **small))
+    with pytest.raises(
+        ValueError, match="`bonus` must observe batches, or be ready, got a Frozen"
+    ):
+        make(bonus=frozen)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"n_steps": 0}, ValueError, "`n_steps` must be at least 1, got 0"),
+        ({"n_steps": 2.5}, TypeError, "`n_steps` must be a whole number, got 2.5"),
+        ({"gamma": -2.0}, ValueError, "`gamma` must be a number from 0 to 1, got -2.0"),
+        ({"gamma": float("nan")}, ValueError, "`gamma` must be a number from 0 to 1, got nan"),
+        ({"gamma": "0.9"}, ValueError, "`gamma` must be a number from 0 to 1, got '0.9'"),
+    ],
+)
+def test_returns_of_several_steps_have_a_number_of_them_and_a_discount(
+    options: dict[str, Any], error: type[Exception], message: str
+) -> None:
+    with pytest.raises(error, match=message):
+        make_agent(buffer=CuriousNStepReplayBuffer, options=options)
 
 
 @pytest.mark.parametrize("name", ["curiosity", "rnd"])

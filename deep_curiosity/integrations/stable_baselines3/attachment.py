@@ -158,7 +158,24 @@ def _find_bonus(
         raise TypeError(f"`bonus` must be a name or a Bonus, got {type(bonus).__name__}.")
     if options:
         raise ValueError(f"`bonus_kwargs` is for a bonus given by name, got {dict(options)}.")
+    _check_fits(bonus, observation_dim=observation_dim, action_dim=action_dim)
     return bonus
+
+
+def _check_fits(bonus: Bonus, **sizes: int) -> None:
+    """Reject a bonus that is known to be for other spaces, or never to be computed.
+
+    Raises:
+        ValueError: Naming the bonus.
+    """
+    own = {name: getattr(bonus, name, size) for name, size in sizes.items()}
+    if own != sizes:
+        raise ValueError(f"`bonus` must be for spaces with {sizes}, got one with {own}.")
+    if bonus.should_skip and not bonus.ready:
+        raise ValueError(
+            f"`bonus` must observe batches, or be ready, got a {type(bonus).__name__} that does "
+            "not and is not: freeze a bonus once it has learned."
+        )
 
 
 def _policy_at(observation: Tensor, actor: Actor, actor_input: PyTorchObs) -> Policy:

@@ -19,7 +19,7 @@ from deep_curiosity.integrations.stable_baselines3.normalization import (
     is_clipped,
 )
 from deep_curiosity.integrations.stable_baselines3.spaces import batch_of, mask_of
-from deep_curiosity.transitions import Transition
+from deep_curiosity.transitions import Transition, check_counts, is_number
 
 
 class CuriousReplayBuffer(ReplayBuffer):
@@ -223,7 +223,19 @@ class CuriousNStepReplayBuffer(CuriousReplayBuffer, NStepReplayBuffer):  # type:
         n_steps: Steps of which rewards and bonuses are summed.
         gamma: Discount of the agent, to be repeated here.
         **options: As for `CuriousReplayBuffer`.
+
+    Raises:
+        TypeError: As `CuriousReplayBuffer`, or if `n_steps` is no whole number.
+        ValueError: As `CuriousReplayBuffer`, or if `n_steps` is below 1 or `gamma` no discount.
     """
+
+    def __init__(
+        self, *args: Any, n_steps: int = 3, gamma: float | int = 0.99, **options: Any
+    ) -> None:
+        check_counts(n_steps=n_steps)
+        if not (is_number(gamma) and 0 <= gamma <= 1):
+            raise ValueError(f"`gamma` must be a number from 0 to 1, got {gamma!r}.")
+        super().__init__(*args, n_steps=n_steps, gamma=gamma, **options)
 
     def _compute_bonus(
         self, transition: Transition, rows: np.ndarray, columns: np.ndarray

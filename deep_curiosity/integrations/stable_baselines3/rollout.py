@@ -17,11 +17,13 @@ from deep_curiosity.transitions import Transition, check_counts
 class CuriousRolloutBuffer(RolloutBuffer):
     """A rollout buffer whose advantages come from reward plus bonus.
 
-    When a rollout is complete the bonus learns from it, in minibatches and at its own pace, and is
-    then computed; one given by name looks at every minibatch once, by a `refresh_interval` of 1.
-    Stored rewards stay those of the environment. What the library's rollout lacks is brought by
-    `CuriosityCallback`, without which this buffer refuses to work: the next observation where an
-    episode ended, how it ended, and raw observations under `VecNormalize`.
+    When a rollout is complete the networks of the bonus learn from it in minibatches, the bonus
+    looks at it as one batch, and is then computed: centred and scaled over the rollout itself,
+    beside where the rollouts before it led. One given by name looks at every rollout, by a
+    `refresh_interval` of 1, which is counted in minibatches. Stored rewards stay those of the
+    environment. What the library's rollout lacks is brought by `CuriosityCallback`, without which
+    this buffer refuses to work: the next observation where an episode ended, how it ended, and raw
+    observations under `VecNormalize`.
 
     Args:
         buffer_size: Given by the agent, as are the next six.
@@ -145,13 +147,37 @@ class CuriousRolloutBuffer(RolloutBuffer):
         self.rewards = rewards
 
     def _learn(self, rollout: Transition) -> None:
-        """Go through the rollout several times; the bonus observes each of its steps but once."""
+        """Let the networks go through the rollout several times, then show it to the bonus.
+
+        It is shown as one batch, and last: its statistics are then of the very rows that are about
+        to be scored, by the networks that score them, and none of these is yet among the states
+        that the bonus remembers, beside which each would be near itself. The first rollout's first
+        minibatch is shown before, since networks learn in units that are measured.
+        """
         self.attachment.to(self.device)
-        num_rows = len(rollout.reward)
-        for epoch in range(self.epochs):
-            learn = self.attachment.learn if epoch == 0 else self.attachment.learner.train_on
-            for rows in torch.randperm(num_rows).to(self.device).split(self.batch_size):
-                learn(Transition(*(field[rows] for field in rollout)))
+        order = torch.randperm(len(rollout.reward)).to(self.device)
+        if not self.bonus.ready:
+            self._show(rollout, order[: self.batch_size])
+            order = order[self.batch_size :]
+        for _ in range(self.epochs):
+            shuffled = torch.randperm(len(rollout.reward)).to(self.device)
+            for rows in shuffled.split(self.batch_size):
+                self.attachment.learner.train_on(_rows_of(rollout, rows))
+        if len(order):
+            self._show(rollout, order)
+
+    def _show(self, rollout: Transition, rows: Tensor) -> None:
+        """Show the bonus some rows, if it is due after so many minibatches."""
+        part = _rows_of(rollout, rows)
+        for _ in range((len(rows) - 1) // self.batch_size):
+            if self.bonus.should_skip:
+                self.bonus.skip()
+        # what was done is what the policy does now
+        self.attachment.learner.show(part, lambda _: part.action)
+
+
+def _rows_of(rollout: Transition, rows: Tensor) -> Transition:
+    return Transition(*(field[rows] for field in rollout))
 
 
 class CuriousDictRolloutBuffer(CuriousRolloutBuffer, DictRolloutBuffer):  # type: ignore[misc]
