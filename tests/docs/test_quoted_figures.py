@@ -777,6 +777,12 @@ def test_times_to_solved_are_those_of_the_table():
         f"than it did, {pendulum:.0f} s in the place of {seconds[tasks[2], 'before']:.0f} s",
     ):
         assert sentence in page
+    steps = {
+        name: median([row for row in own if row["task"] == tasks[2]], "step")
+        for (name,), own in grouped(rows, "checkout").items()
+    }
+    said = f"with {steps['default']:,.0f} steps in the place of {steps['before']:,.0f}"
+    assert said.replace(",", " ") in page
     commits = {str(row["checkout"]): str(row["commit"])[:7] for row in rows}
     assert f"`{commits['default']}`) beside that of `{commits['before']}`" in page
     summary = (ROOT / "docs/benchmark/solved.md").read_text()

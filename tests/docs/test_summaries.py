@@ -96,3 +96,13 @@ def test_the_summary_is_that_of_the_rows(path):
 
 def test_there_are_tables_to_look_at():
     assert {"docs/study/goals.csv", "docs/study/sparse.csv"} <= set(tables())
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "docs").rglob("*_curves.csv")), ids=str)
+def test_the_agents_of_a_task_have_points_at_the_same_evaluations(path):
+    steps = {}
+    for row in read_table(path):
+        label = next(name for name in row if name not in ("task", "seed"))
+        steps.setdefault((row["task"], row[label]), set()).add(row["step"])
+    schedules = {task: own for (task, _), own in steps.items()}
+    assert all(own == schedules[task] for (task, _), own in steps.items())
