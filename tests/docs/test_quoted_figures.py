@@ -7,6 +7,7 @@ import statistics
 import numpy as np
 import pytest
 
+from deep_curiosity.benchmark.page import narrow_section
 from deep_curiosity.benchmark.solved import summary_of
 from deep_curiosity.benchmark.tables import grouped, median, rate_over, read_rows
 from deep_curiosity.experiments.statistics import (
@@ -86,6 +87,23 @@ def test_what_is_said_of_an_older_cpu_is_what_was_measured():
         for rows in (rows_of("docs/benchmark/agents.csv"), rows_of(f"{folder}/agents.csv"))
     ]
     assert f"slower by a factor of {rates[0] / rates[1]:.1f} than" in page
+
+
+def test_narrow_networks_are_as_fast_as_was_measured():
+    folder = "docs/benchmark/zen4"
+    rows = rows_of(f"{folder}/narrow.csv")
+    rates = medians(f"{folder}/narrow.csv", "runner", "steps_per_second")
+    plain, curious = rates["plain, compiled"], rates["curious, compiled"]
+    assert f"{plain:.0f} steps a second of the plain agent and {curious:.0f} of the" in README
+    assert f"Stable-Baselines3's SAC takes {rates['Stable-Baselines3']:.0f} (" in README
+    times_sb3 = rate_over(rows, "Stable-Baselines3")
+    plain, curious = (
+        statistics.median(times_sb3(row) for row in rows if row["runner"] == f"{name}, compiled")
+        for name in ("plain", "curious")
+    )
+    page = text_of(f"{folder}/README.md")
+    assert f"these are {plain:.2f} and {curious:.2f} times." in page
+    assert narrow_section(ROOT / folder).strip() in (ROOT / folder / "README.md").read_text()
 
 
 def over_floor(runner):
@@ -787,3 +805,26 @@ def test_times_to_solved_are_those_of_the_table():
     assert f"`{commits['default']}`) beside that of `{commits['before']}`" in page
     summary = (ROOT / "docs/benchmark/solved.md").read_text()
     assert summary == summary_of(rows_of("docs/benchmark/solved.csv")) + "\n"
+
+
+def test_public_agents_stand_beside_the_default_as_their_table_and_ours_have_them():
+    page = text_of("docs/results/README.md")
+    for row in rows_of("docs/results/public.csv"):
+        steps = f"{row['environment_steps']:,.0f}".replace(",", " ")
+        said = f"{row['mean']:.0f} ± {row['std']:.0f} | {row['seeds']:.0f} |"
+        assert f"| {row['agent']} | {steps} | {said}" in page
+    pendulum, cart = "dm_control/pendulum-swingup-v0", "dm_control/cartpole-swingup_sparse-v0"
+    ours = {
+        pendulum: [
+            row["evaluation_return"]
+            for row in rows_of("docs/results/results.csv")
+            if row["task"] == pendulum and row["agent"] == "curiosity"
+        ],
+        cart: [row["evaluation_return"] for row in rows_of("docs/results/cartpole_sparse.csv")],
+    }
+    for task, steps in ((pendulum, "20 000"), (cart, "50 000")):
+        said = f"{statistics.mean(ours[task]):.0f} ± {statistics.stdev(ours[task]):.0f} | 10 |"
+        assert f"| {task} | **the default** | {steps} | {said}" in page
+    assert sum(value >= 500 for value in ours[pendulum]) == 7 and max(ours[cart]) < 500
+    mean = interquartile_mean(np.array(ours[cart]))
+    assert f"interquartile mean is {float(mean):.0f}." in page

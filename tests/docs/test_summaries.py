@@ -18,6 +18,7 @@ TABLES = {  # whose names are not those of their studies
     "harm-default": "harm",
     "harm-units": "harm",
     "overlap": "results",
+    "cartpole_sparse": "goals",
     "overlap_dense": "results_dense",
     "uniform_prior": "results",
     "steady_share": "results",
