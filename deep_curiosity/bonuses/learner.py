@@ -82,7 +82,7 @@ class BonusLearner(nn.Module):
             self._look_at_unit(transition.action, *fresh)
 
     def train_on(self, transition: Transition) -> None:
-        """Take a gradient step at every `update_interval`-th call; the bonus is not shown the batch.
+        """Take a gradient step at every `update_interval`-th call, and show the bonus nothing.
 
         Args:
             transition: A batch that was shown before, or will be, such as a part of a rollout.

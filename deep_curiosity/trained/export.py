@@ -24,7 +24,7 @@ from deep_curiosity.trained.source import (
     read_trained,
 )
 from deep_curiosity.training.log import CONFIG, WEIGHTS, write_json, written_whole
-from deep_curiosity.training.outliers import FACTOR
+from deep_curiosity.training.outliers import LIMIT
 from deep_curiosity.training.spaces import SPACES
 from deep_curiosity.transitions import check_flags
 
@@ -87,7 +87,7 @@ class Actor(nn.Module):
         usual = self.usual_observation
         if usual is None:
             return observation
-        absurd = observation.abs() > FACTOR * usual
+        absurd = observation.abs() > LIMIT * usual
         return torch.where(absurd, observation.sign() * usual, observation)
 
     def _centre(self, output: Tensor) -> Tensor:

@@ -17,6 +17,7 @@ from deep_curiosity.training.lease import LeaseError
 
 NEWEST = "checkpoint.pt"
 PREVIOUS = "checkpoint.previous.pt"
+ASIDE = f"{NEWEST}.damaged"
 DIGEST_MARK = b"sha256 of all before: "
 DIGEST_LENGTH = 64  # hexadecimal digits, behind the mark, at the end of the file
 CHUNK = 2**20
@@ -100,7 +101,8 @@ def load_checkpoint(
     Args:
         folder: Of the run.
         mend: Put the one before in the place of a newest one that is damaged, so that it is not
-            lost when the next is saved.
+            lost when the next is saved. The damaged one is put aside: what could not be read may
+            be readable another time.
         argument: That named the folder, for errors.
 
     Raises:
@@ -119,6 +121,8 @@ def load_checkpoint(
         if damage:
             warnings.warn(f"{damage[0]}; continuing from {path}.", stacklevel=2)
             if mend:
+                with suppress(FileNotFoundError):
+                    (folder / NEWEST).replace(folder / ASIDE)
                 path.replace(folder / NEWEST)
         return state
     raise FileNotFoundError(

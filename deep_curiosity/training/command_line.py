@@ -23,7 +23,7 @@ from deep_curiosity.arguments import check_folder, read_arguments
 from deep_curiosity.bonuses.config import BONUS_CONFIGS
 from deep_curiosity.configuration import Setting, coerce, flat, from_home, unknown_setting
 from deep_curiosity.training.config import IGNORED, PRESETS, Config, merge_config
-from deep_curiosity.training.log import read_config
+from deep_curiosity.training.log import once_each, read_config
 
 COMMON = (
     "env_id",
@@ -143,7 +143,7 @@ def read_file(path: Path) -> dict[str, Any]:
         ValueError: If it holds something else.
     """
     try:
-        values = json.loads(path.read_text())
+        values = json.loads(path.read_text(), object_pairs_hook=once_each)
     except (OSError, ValueError, RecursionError) as error:
         kind = type(error) if isinstance(error, FileNotFoundError) else ValueError
         raise kind(f"`settings` must name a JSON file, got {path}: {error}.") from error

@@ -126,7 +126,7 @@ def read_values(folder: Path, name: str = "folder") -> dict[str, Any]:
             f"`{name}` must be the folder of a run, which has a {CONFIG}, got {folder}."
         )
     try:
-        values = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_once_each)
+        values = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=once_each)
         if not isinstance(values, dict):
             raise ValueError(f"not by name: {values!r}")
     except (RecursionError, ValueError) as error:  # no text, no JSON
@@ -134,7 +134,12 @@ def read_values(folder: Path, name: str = "folder") -> dict[str, Any]:
     return with_younger(values)
 
 
-def _once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """The entries of an object in JSON, each of which may be there once.
+
+    Raises:
+        ValueError: If one is there twice.
+    """
     values = dict(pairs)
     if len(values) < len(pairs):
         raise ValueError(f"a name twice among {', '.join(name for name, _ in pairs)}")

@@ -3,6 +3,7 @@
 import numpy as np
 
 FACTOR = 100.0  # times the usual size of an entry, beyond which it is absurd
+LIMIT = FACTOR * (1 + 1e-6)  # the same, so that rounding puts no declared bound beyond itself
 RISE = 0.05  # of the usual size, in logarithm, at a step that exceeds it
 SHARE = 0.01  # of the steps exceeds the usual size: where rise and fall balance
 MAX_DECLARED = 1e4  # a space that allows more says nothing of what is usual
@@ -48,7 +49,7 @@ def cut_absurd(value: np.ndarray, usual: np.ndarray, kept: float = 1.0) -> np.nd
         usual: `(dim,)`, how large each entry usually is.
         kept: How much of an absurd number is kept, in usual sizes.
     """
-    absurd = np.abs(value) > FACTOR * usual
+    absurd = np.abs(value) > LIMIT * usual
     if not absurd.any():
         return value
     return np.where(absurd, np.sign(value) * (kept * usual), value).astype(value.dtype)

@@ -8,6 +8,7 @@ import torch
 
 from deep_curiosity.training import checkpoint
 from deep_curiosity.training.checkpoint import (
+    ASIDE,
     NEWEST,
     PREVIOUS,
     load_checkpoint,
@@ -99,6 +100,22 @@ def test_one_that_is_damaged_does_not_take_the_place_of_the_one_before_it(tmp_pa
     (tmp_path / NEWEST).write_bytes(b"")
     with pytest.warns(UserWarning, match="is damaged"):
         assert load_checkpoint(tmp_path)["step"] == 0
+
+
+def test_one_that_could_not_be_read_this_time_is_put_aside(tmp_path, monkeypatch):
+    def failing(path):
+        if path.name == NEWEST:
+            raise OSError(5, "Input/output error")
+        check_digest(path)
+
+    for step in range(2):
+        save_checkpoint(tmp_path, {"step": step})
+    check_digest = checkpoint._check_digest
+    with monkeypatch.context() as disk, pytest.warns(UserWarning, match="Input/output error"):
+        disk.setattr(checkpoint, "_check_digest", failing)
+        assert load_checkpoint(tmp_path, mend=True)["step"] == 0
+    (tmp_path / ASIDE).replace(tmp_path / NEWEST)
+    assert load_checkpoint(tmp_path)["step"] == 1
 
 
 def test_one_that_may_not_be_written_leaves_what_is_there(tmp_path):

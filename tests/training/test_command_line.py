@@ -329,7 +329,13 @@ def test_settings_are_read_from_a_file_and_flags_go_before_it(tmp_path):
     found = read("--settings", path, "--batch-size", 32)
     assert found == Config.of(learning_rate=0.01, batch_size=32, bonus="rnd")
     wrong = "`settings` must name a JSON file"
-    for text, message in (("{", wrong), ("[" * 99_999, wrong), ("[]", "names and values")):
+    twice = '{"seed": 1, "seed": 2}'
+    for text, message in (
+        ("{", wrong),
+        ("[" * 99_999, wrong),
+        (twice, f"{wrong}.*a name twice among seed, seed"),
+        ("[]", "names and values"),
+    ):
         path.write_text(text)
         with pytest.raises(ValueError, match=message):
             read("--settings", path)

@@ -57,3 +57,13 @@ def test_a_space_says_what_is_usual_unless_it_allows_everything():
     low = np.array([-1.0, -500.0, -np.inf, -3e38, 0.0], np.float32)
     high = np.array([1.0, 100.0, np.inf, 3e38, 0.0], np.float32)
     assert usual_size(low, high).tolist() == [1.0, 5.0, 1.0, 1.0, 1.0]
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_what_lies_at_its_declared_bound_is_left_as_it_is(dtype):
+    bound = np.arange(
+        101, 10_001, dtype=dtype
+    )  # of which a hundredth, times a hundred, may be less
+    size = UsualSize(usual_size(-bound, bound))
+    for value in (bound, -bound):
+        assert (size.cut(value[None]) == value).all()
