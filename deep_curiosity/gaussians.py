@@ -19,6 +19,7 @@ from torch import Tensor
 
 LEAST_LOG_WEIGHT = -1e30  # whose exponential is zero in any precision
 LOG_TWO_PI = math.log(2 * math.pi)
+MOST_AT_ONCE = 2**20  # numbers: some megabytes, as caches hold
 Parameters = ParamSpec("Parameters")
 
 
@@ -264,17 +265,34 @@ def kl_to_mixture_lower(
 
     .. math:: -H(f) - \log \sum_j w_j \, N(\mu_f; \mu_j, S_f + S_j)
 
-    Arguments are those of `kl_to_mixture_upper`. Memory grows as batch x components x dim.
+    Arguments are those of `kl_to_mixture_upper`. Where gradients are asked for, memory grows as
+    batch x components x dim.
     """
-    sum_log_var = torch.logaddexp(
-        log_var.unsqueeze(-2), component_log_var
-    )  # *batch components dim
-    overlap = gaussian_log_prob(loc.unsqueeze(-2), component_loc, 0.5 * sum_log_var)
+    components = component_loc, component_log_var
+    if torch.is_grad_enabled():
+        overlap = _log_overlap(loc, log_var, *components)
+    else:  # some Gaussians at a time: what there is of all of them at once may be gigabytes
+        some = max(1, MOST_AT_ONCE // max(1, component_loc.numel()))
+        locs, log_vars = (each.reshape(-1, each.shape[-1]).split(some) for each in (loc, log_var))
+        rows = [
+            _log_overlap(*gaussians, *components) for gaussians in zip(locs, log_vars, strict=True)
+        ]
+        overlap = torch.cat(rows).reshape(*loc.shape[:-1], len(component_loc))
     if component_log_weight is None:  # equal weights
         overlap = overlap - math.log(component_loc.shape[0])
     else:
         overlap = overlap + component_log_weight
     return -gaussian_entropy(log_var) - torch.logsumexp(overlap, dim=-1)
+
+
+def _log_overlap(
+    loc: Tensor, log_var: Tensor, component_loc: Tensor, component_log_var: Tensor
+) -> Tensor:
+    """Log density of each difference of means under both variances, `(*batch, components)`."""
+    sum_log_var = torch.logaddexp(
+        log_var.unsqueeze(-2), component_log_var
+    )  # *batch components dim
+    return gaussian_log_prob(loc.unsqueeze(-2), component_loc, 0.5 * sum_log_var)
 
 
 @checked

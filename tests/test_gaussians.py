@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from scipy import integrate
 from torch.distributions import Categorical, Independent, MixtureSameFamily, Normal, kl_divergence
 
+from deep_curiosity import gaussians
 from deep_curiosity.gaussians import (
     DiagonalMixture,
     expected_log_density,
@@ -467,3 +468,14 @@ def test_a_choice_without_weight_is_never_made(monkeypatch):
     monkeypatch.setattr(torch, "rand_like", torch.zeros_like)  # as once in 2^24 draws
     log_weight = torch.tensor([-torch.inf, 0.0, -torch.inf])
     assert sample_index(log_weight) == 1
+
+
+@pytest.mark.parametrize("batch", [(), (7,), (2, 3), (0,)])
+def test_a_bound_by_overlap_is_the_same_where_it_is_computed_piece_by_piece(batch, monkeypatch):
+    monkeypatch.setattr(gaussians, "MOST_AT_ONCE", 25)  # a Gaussian, or two, at a time
+    arguments = torch.randn(*batch, 3), torch.randn(*batch, 3), *torch.randn(2, 4, 3)
+    whole = kl_to_mixture_lower(*arguments)
+    with torch.no_grad():
+        pieces = kl_to_mixture_lower(*arguments)
+    assert pieces.shape == batch
+    torch.testing.assert_close(pieces, whole)

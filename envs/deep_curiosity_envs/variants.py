@@ -13,7 +13,26 @@ from deep_curiosity_envs.ids import registered_id
 
 Step = tuple[Any, float, bool, bool, dict[str, Any]]
 
+RENDER_MODES = ("human", "rgb_array", "depth_array", "rgbd_tuple")
 NOISE_STREAM = 1  # of a seed, apart from the stream that the task itself draws from
+
+
+class Metadata:
+    """Of a wrapper that is an entry point: a dictionary of the class too, as of a task.
+
+    Gymnasium before 1.4 reads it there, where a wrapper has a property.
+    """
+
+    def __get__(self, wrapper: gymnasium.Wrapper | None, kind: type) -> dict[str, Any]:
+        """What the task inside has; of the class, all that any task may render."""
+        if wrapper is None:
+            return {"render_modes": list(RENDER_MODES)}
+        metadata: dict[str, Any] = gymnasium.Wrapper.metadata.fget(wrapper)  # type: ignore[attr-defined]
+        return metadata
+
+    def __set__(self, wrapper: gymnasium.Wrapper, value: dict[str, Any]) -> None:
+        """As of any wrapper."""
+        gymnasium.Wrapper.metadata.fset(wrapper, value)  # type: ignore[attr-defined]
 
 
 class ActionCost(gymnasium.Wrapper, RecordConstructorArgs):
@@ -34,6 +53,8 @@ class ActionCost(gymnasium.Wrapper, RecordConstructorArgs):
             actions are no vectors with room between their bounds.
         ImportError: If the task is one of another package that is missing.
     """
+
+    metadata = Metadata()  # type: ignore[assignment]
 
     def __init__(
         self,
@@ -88,6 +109,8 @@ class NoiseSwitch(gymnasium.Wrapper, RecordConstructorArgs):
             bounds, or whole numbers.
         ImportError: If the task is one of another package that is missing.
     """
+
+    metadata = Metadata()  # type: ignore[assignment]
 
     def __init__(
         self,

@@ -304,3 +304,13 @@ def test_a_variant_trains_and_shows_what_is_switched(tmp_path):
         out=tmp_path / "run",
     )
     assert train(config, show_progress=False)["total_steps"] == 80
+
+
+@pytest.mark.parametrize("variant", [ActionCost, NoiseSwitch])
+def test_a_variant_has_metadata_as_a_class_and_that_of_its_task_as_an_environment(variant):
+    """Gymnasium before 1.4 reads the class's, which has to be a dictionary."""
+    assert "rgb_array" in variant.metadata["render_modes"]
+    task = variant("MountainCarContinuous-v0")
+    assert task.metadata == task.unwrapped.metadata
+    task.metadata = {"render_fps": 1}
+    assert task.metadata == {"render_fps": 1} != task.unwrapped.metadata
