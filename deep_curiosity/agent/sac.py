@@ -224,9 +224,10 @@ class CuriousSAC(nn.Module):
 
         Raises:
             TypeError: If there is no such setting.
-            ValueError: If a value is out of range.
+            ValueError: If a value is out of range, or goes with time, which the trainer knows.
         """
         config = override(AgentConfig(), **options)
+        _check_steady(config)
         return cls(observation_dim, action_dim, config, curiosity=curiosity)
 
     @property
@@ -726,6 +727,26 @@ def _check_number(name: str, value: float, **bounds: float) -> None:
     if not is_number(value):
         raise ValueError(f"`{name}` must be a finite number, got {value!r}.")
     check_range(name, float(value), bounds)
+
+
+def _check_steady(config: AgentConfig) -> None:
+    """Reject settings that nothing would carry out in a loop of one's own.
+
+    Raises:
+        ValueError: Naming the first of them, and what does its work there.
+    """
+    for name, value in (("hunger", config.hunger), ("temperature", config.temperature)):
+        if isinstance(value, Schedule) and value.shape != "constant":
+            raise ValueError(
+                f"`{name}` must be one number where no trainer carries a schedule out, got "
+                f"{value}; set `agent.{name}` as time goes by."
+            )
+    if config.curiosity.ends is not None:
+        raise ValueError(
+            "`curiosity_ends` must be left out, got "
+            f"{config.curiosity.ends}: only the trainer counts steps; set "
+            "`agent.curiosity_coefficient` to 0 when it is time."
+        )
 
 
 def check_rate(rate: float, action_dim: int) -> None:

@@ -11,6 +11,7 @@ BONUSES = tuple(name for name in BONUS_CONFIGS if name not in ("constant", "none
 """Curiosity and the baselines that it is compared with, all weighed and standardised alike."""
 OF_THE_LOOP = {
     "model_learning_rate": "give `learning_rate` to the BonusLearner, or to its buffer",
+    "features_of": "choose `features` among the entries of what the bonus is given",
     "marginal_half_life": "show `observe` what was visited of late, as `visited`",
 }
 """Settings that only the trainer reads, and what does their work in another loop."""

@@ -1404,3 +1404,17 @@ def test_the_default_agent_is_that_of_its_configuration():
 def test_an_unknown_setting_of_the_agent_is_refused():
     with pytest.raises(TypeError, match=r"`modes` is no setting here; there are hidden_dim, .*"):
         CuriousSAC.default(3, 2, modes=2)
+
+
+@pytest.mark.parametrize(
+    ("setting", "value", "rule"),
+    [
+        ("hunger", "linear:0.1:0.9", "`hunger` must be one number.*got .*set `agent.hunger`"),
+        ("temperature", "linear:1:0.1", "`temperature` must be one number.*`agent.temperature`"),
+        ("curiosity_ends", 100, "`curiosity_ends` must be left out, got 100"),
+    ],
+)
+def test_what_only_the_trainer_carries_out_is_refused_of_an_agent_alone(setting, value, rule):
+    with pytest.raises(ValueError, match=rule):
+        CuriousSAC.default(3, 1, **{setting: value})
+    assert CuriousSAC.default(3, 1, temperature="constant:0.05").temperature == pytest.approx(0.05)

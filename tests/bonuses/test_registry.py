@@ -74,3 +74,8 @@ def test_features_of_other_bonuses_are_no_setting():
         TypeError, match=r"`features` is no setting here, .*; there are bonus_weight"
     ):
         make_bonus("rnd", 3, 2, features=lambda observation: observation[:, :2])
+
+
+def test_what_only_the_trainer_reads_of_features_is_refused():
+    with pytest.raises(TypeError, match="`features_of` must be left out, got 'window'"):
+        make_bonus("curiosity", 3, 1, features_of="window")

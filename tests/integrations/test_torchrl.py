@@ -1018,6 +1018,7 @@ def test_a_missing_clock_is_taken_for_none():
             {"target_information_rate": math.nan},
             "`target_information_rate` must be a finite number or None, got nan",
         ),
+        ({"target_information_rate": -1.0}, "`target_information_rate` must not be negative"),
         (
             {"bonus": StepBonus(), "curiosity_discount": 0.0},
             "`curiosity_discount` must be above 0 with a bonus that scores outcomes",
@@ -1038,6 +1039,19 @@ def test_a_hunger_that_is_none_is_refused_at_any_step(hunger: object):
     assert loss.hunger.item() == 0.5
     loss.hunger = torch.tensor(0.25)
     assert loss.hunger.item() == 0.25 and "hunger" in loss.state_dict()
+
+
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (lambda flag: CuriosityTransform(LevelBonus(), add_to_reward=flag), "add_to_reward"),
+        (lambda flag: BonusLoss(LevelBonus(), observe=flag), "observe"),
+        (lambda flag: make_loss(CuriousActorCriticLoss, soft_backup=flag), "soft_backup"),
+    ],
+)
+def test_a_flag_is_true_or_false(make: Callable, name: str):
+    with pytest.raises(TypeError, match=name):
+        make("no")
 
 
 def test_options_that_mean_nothing_here_are_refused():

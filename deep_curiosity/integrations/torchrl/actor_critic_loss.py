@@ -28,6 +28,7 @@ from deep_curiosity.integrations.torchrl.arguments import (
 from deep_curiosity.integrations.torchrl.tensordicts import TransitionKeys, TransitionReader
 from deep_curiosity.losses import price_shares
 from deep_curiosity.nn.networks import frozen
+from deep_curiosity.transitions import check_flags
 
 
 class ActionSample(NamedTuple):
@@ -111,6 +112,7 @@ class CuriousActorCriticLoss(SACLoss):
         check_options(options)
         check_numbers(curiosity_discount, hunger, prior, target_information_rate)
         check_differentiable(bonus, curiosity_discount)
+        check_flags(soft_backup=soft_backup is not None and soft_backup)
         box = action_box(actor_network, action_spec)
         if target_information_rate is None and prior == "learned":
             target_information_rate = DEFAULT_RATE * box.dim

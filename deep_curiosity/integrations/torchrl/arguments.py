@@ -77,6 +77,11 @@ def check_numbers(
             "`target_information_rate` must be a finite number or None, "
             f"got {target_information_rate!r}."
         )
+    if target_information_rate is not None and target_information_rate < 0:
+        raise ValueError(
+            "`target_information_rate` must not be negative, as no divergence is, "
+            f"got {target_information_rate}."
+        )
 
 
 def check_hunger(hunger: Any) -> None:

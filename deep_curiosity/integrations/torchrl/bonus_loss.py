@@ -17,6 +17,7 @@ from deep_curiosity.integrations.torchrl.tensordicts import (
     TransitionKeys,
     TransitionReader,
 )
+from deep_curiosity.transitions import check_flags
 
 
 class BonusLoss(LossModule):
@@ -55,6 +56,7 @@ class BonusLoss(LossModule):
         high: float | Tensor = 1.0,
     ) -> None:
         super().__init__()
+        check_flags(observe=observe)
         self.bonus = bonus
         self.observe = observe
         box = ActionBox(low, high) if action_spec is None else ActionBox()

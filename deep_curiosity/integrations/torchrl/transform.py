@@ -25,7 +25,7 @@ from deep_curiosity.integrations.torchrl.tensordicts import (
     TransitionKeys,
     TransitionReader,
 )
-from deep_curiosity.transitions import Transition
+from deep_curiosity.transitions import Transition, check_flags
 
 ONE_AT_A_TIME = RLock()
 """Held while a bonus learns and is computed: a buffer that prefetches samples in threads."""
@@ -91,6 +91,7 @@ class CuriosityTransform(Transform):
     ) -> None:
         if not isinstance(bonus, Bonus | BonusLearner):
             raise TypeError(f"`bonus` must be a Bonus or a BonusLearner, got {bonus!r}.")
+        check_flags(add_to_reward=add_to_reward)
         super().__init__(in_keys=[observation_key, action_key], out_keys=[out_key])
         self.source = bonus
         self.add_to_reward = add_to_reward
