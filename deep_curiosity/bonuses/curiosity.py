@@ -167,11 +167,16 @@ class CuriosityBonus(Bonus):
                 its value (see `DynamicsEnsemble`), and a module is frozen for good.
 
         Raises:
-            TypeError: If there is no such option.
+            TypeError: If there is no such option, or the class is one derived from this.
             ValueError: If an option is out of range.
         """
         from deep_curiosity.bonuses.registry import make_bonus
 
+        if cls is not CuriosityBonus:
+            raise TypeError(
+                "`default` must be called of CuriosityBonus, of whose `dynamics` and `marginal` "
+                f"a class derived from it is made, got {cls.__name__}."
+            )
         bonus = make_bonus(
             "curiosity", observation_dim, action_dim, hidden_dims=hidden_dims, **options
         )

@@ -47,6 +47,8 @@ class Args(Group):
     def __post_init__(self) -> None:
         """Refuse what cannot be written, before anything is read."""
         super().__post_init__()
+        if not self.runs:
+            raise ValueError("`runs` must name a folder at least, got none.")
         check_paths(self.out, ENDINGS)
         check_place(self.out)
 

@@ -1022,3 +1022,13 @@ def test_second_derivatives_in_the_action_are_those_of_differences():
     (second,) = torch.autograd.grad(slope(asked).sum(), asked)
     differences = (slope(action[:5] + step) - slope(action[:5] - step)) / (2 * step)
     torch.testing.assert_close(second, differences.detach(), rtol=1e-3, atol=1e-5)
+
+
+def test_a_class_derived_from_it_is_made_of_parts_and_not_by_default():
+    class Mine(CuriosityBonus):
+        pass
+
+    with pytest.raises(TypeError, match=r"`default` must be called of CuriosityBonus.*got Mine"):
+        Mine.default(3, 1)
+    whole = CuriosityBonus.default(3, 1, hidden_dims=(8,))
+    assert isinstance(Mine(whole.dynamics, whole.marginal), Mine)

@@ -34,6 +34,11 @@ def test_what_cannot_be_drawn_is_answered_in_one_line(arguments, tmp_path, monke
     assert refusal("plot", *arguments).startswith("error: `runs` must be folders of runs, got ")
 
 
+def test_a_plot_of_no_folder_says_what_is_missing(tmp_path, refusal):
+    said = refusal("plot", "--out", tmp_path / "curves")
+    assert said.startswith("error: `runs` must name a folder at least, got none")
+
+
 @pytest.mark.parametrize("out", ["curves.png", "curves.html", ".."])
 def test_a_path_with_the_suffix_of_a_file_is_refused(out, tmp_path, monkeypatch, refusal):
     monkeypatch.chdir(tmp_path)
